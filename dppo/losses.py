@@ -1,0 +1,103 @@
+"""The objective (maximised), the two losses (minimised), and their derivatives.
+
+    J = mean[ratio · A] − β KL[π_old‖π] − ξ max(0, KL − 2 KL_target)²     (Safe Actor-Critic, eq. 21)
+    A = A_V − ψ A_σ
+
+The paper sums over t; the mean keeps β and ξ independent of the number of samples.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dppo.config import KlConfig, SafetyConfig
+from dppo.moments import FloatArray, Moments
+
+Float32 = NDArray[np.float32]
+
+
+def policy_objective(
+    ratio: Float32, advantage: Float32, kl: float, beta: float, config: KlConfig
+) -> float:
+    """J of one set of samples (eq. 21).
+
+    Args:
+        ratio: [N] π(a|s) / π_old(a|s).
+        advantage: [N] A_V − ψ A_σ.
+        kl: mean KL[π_old‖π] over the samples [nats].
+        beta: β.
+        config: KL_target and ξ.
+    """
+    return float(
+        np.mean(ratio * advantage, dtype=np.float64)
+        - beta * kl
+        - config.hinge_coef * max(0.0, kl - 2 * config.kl_target) ** 2
+    )
+
+
+def kl_weight(kl: float, beta: float, config: KlConfig) -> float:
+    """−∂J/∂KL = β + 2 ξ max(0, KL − 2 KL_target)."""
+    return beta + 2 * config.hinge_coef * max(0.0, kl - 2 * config.kl_target)
+
+
+def squared_error(prediction: Float32, target: Float32) -> tuple[Float32, float]:
+    """L = (target − prediction)² summed over samples: its derivative [N], and itself."""
+    error = prediction - target
+    return 2 * error, float(np.sum(np.square(error, dtype=np.float64)))
+
+
+def softplus(x: Float32) -> Float32:
+    """log(1 + e^x), without overflow."""
+    return np.maximum(x, 0) + np.log1p(np.exp(-np.abs(x)))
+
+
+def softplus_derivative(x: Float32) -> Float32:
+    """1 / (1 + e^−x), without overflow."""
+    small = np.exp(-np.abs(x))
+    return np.where(x >= 0, 1, small) / (1 + small)
+
+
+@dataclass(frozen=True, slots=True)
+class AdvantageStatistics:
+    """Moments of (A_V, A_σ, A_V − ψ A_σ) over the samples of all slots."""
+
+    moments: Moments  # F = 3
+
+    @staticmethod
+    def of(a_v: FloatArray, a_sigma: FloatArray, psi: float) -> Moments:
+        """The moments of one slot's advantages, each [N]."""
+        return Moments.of(np.stack([a_v, a_sigma, a_v - psi * a_sigma], axis=1))
+
+    @property
+    def stds(self) -> tuple[float, float, float]:
+        """Standard deviations; that of A_σ is at least a thousandth of that of A_V, squared.
+
+        Both are reward², so the floor has no unit of its own. Without it, a variance that is all
+        but zero would be blown up to unit size.
+        """
+        v, sigma, joint = (float(std) for std in self.moments.std())
+        return v, max(sigma, 1e-3 * v * v), joint
+
+
+def combine(
+    a_v: FloatArray, a_sigma: FloatArray, psi: float, statistics: AdvantageStatistics,
+    config: SafetyConfig,
+) -> Float32:  # fmt: skip
+    """A = A_V − ψ A_σ, standardised over the samples of all slots as `adv_norm` says.
+
+    separate: each standardised, their sum not again (what the paper's ψ values mean);
+    joint: the sum standardised; none: as it is. With ψ = 0 all three are plain DPPO.
+    """
+    mean_v, mean_sigma, mean_joint = (float(mean) for mean in statistics.moments.mean)
+    std_v, std_sigma, std_joint = statistics.stds
+    match config.adv_norm:
+        case "separate":
+            safe = (a_v - mean_v) / std_v
+            if psi != 0:
+                safe = safe - psi * ((a_sigma - mean_sigma) / std_sigma)
+        case "joint":
+            safe = ((a_v - psi * a_sigma) - mean_joint) / std_joint
+        case "none":
+            safe = a_v - psi * a_sigma
+    return safe.astype(np.float32)

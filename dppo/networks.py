@@ -1,0 +1,181 @@
+"""Tanh networks over one flat float32 vector, with their gradients written out.
+
+Shape letters: N samples · O observation size (with the time feature) · P parameters of a run.
+
+Why not a module tree: a gradient is computed for 64 rows at a time, thousands of times a second,
+and the bits must not depend on what else the process does. Three matrix products per layer in
+NumPy take a quarter of the time of an autograd graph (docs/decisions/0002); a test holds every
+gradient against torch's.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dppo.config import Config, NetworkConfig
+from dppo.spaces import Spaces
+from dppo.streams import stream
+
+Float32 = NDArray[np.float32]
+Network = Literal["policy", "value", "variance"]
+NETWORKS: tuple[Network, ...] = ("policy", "value", "variance")
+
+
+@dataclass(frozen=True, slots=True)
+class Mlp:
+    """A multilayer perceptron: tanh between layers, linear at the end.
+
+    Its parameters are a flat vector: W_1 row by row, b_1, W_2, ...; W is [inputs, outputs].
+    """
+
+    sizes: tuple[int, ...]
+    """Units of each layer, input and output included."""
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return sum((a + 1) * b for a, b in zip(self.sizes, self.sizes[1:], strict=False))
+
+    def layers(self, vector: Float32) -> list[tuple[Float32, Float32]]:
+        """Views (W, b) of each layer into a flat vector of length `size`."""
+        views, start = [], 0
+        for inputs, outputs in zip(self.sizes, self.sizes[1:], strict=False):
+            middle = start + inputs * outputs
+            views.append(
+                (vector[start:middle].reshape(inputs, outputs), vector[middle : middle + outputs])
+            )
+            start = middle + outputs
+        return views
+
+    def forward(self, vector: Float32, x: Float32) -> tuple[Float32, list[Float32]]:
+        """Output [N, sizes[-1]], and the input of every layer for `backward`."""
+        inputs = []
+        layers = self.layers(vector)
+        for weight, bias in layers[:-1]:
+            inputs.append(x)
+            x = x @ weight
+            x += bias
+            np.tanh(x, out=x)
+        inputs.append(x)
+        weight, bias = layers[-1]
+        x = x @ weight
+        x += bias
+        return x, inputs
+
+    def backward(
+        self, vector: Float32, inputs: list[Float32], d_output: Float32, gradient: Float32
+    ) -> None:
+        """Write ∂L/∂parameters into `gradient` (flat, length `size`), given ∂L/∂output."""
+        layers, gradients = self.layers(vector), self.layers(gradient)
+        for index in range(len(layers) - 1, -1, -1):
+            x, (d_weight, d_bias) = inputs[index], gradients[index]
+            np.matmul(x.T, d_output, out=d_weight)
+            np.add.reduce(d_output, axis=0, out=d_bias)
+            if index > 0:
+                d_output = d_output @ layers[index][0].T
+                d_output *= 1 - x * x  # the derivative of tanh, from its value
+
+    def initial(
+        self, rng: np.random.Generator, init: Literal["orthogonal", "fan-in"], last_gain: float
+    ) -> Float32:
+        """Initial parameters: biases 0, weights orthogonal (gain √2) or N(0, 1/fan_in)."""
+        vector = np.zeros(self.size, np.float32)
+        layers = self.layers(vector)
+        for index, (weight, _) in enumerate(layers):
+            if init == "fan-in":
+                weight[:] = rng.standard_normal(weight.shape) / math.sqrt(len(weight))
+            else:
+                gain = last_gain if index == len(layers) - 1 else math.sqrt(2)
+                weight[:] = gain * _orthogonal(rng, *weight.shape)
+        return vector
+
+
+def _orthogonal(rng: np.random.Generator, rows: int, columns: int) -> NDArray[np.float64]:
+    tall = rng.standard_normal((max(rows, columns), min(rows, columns)))
+    q, r = np.linalg.qr(tall)
+    q *= np.sign(np.diag(r))
+    return q if rows >= columns else q.T
+
+
+@dataclass(frozen=True)
+class Networks:
+    """Policy, value and variance network of a run, and where each lies in the flat vector."""
+
+    policy: Mlp
+    value: Mlp
+    variance: Mlp | None
+    """None: the run has no variance critic (psi 0 only)."""
+    log_std_size: int
+    """A for Gaussian policies, 0 for categorical ones; lies right behind the policy's layers."""
+
+    @classmethod
+    def build(cls, spaces: Spaces, config: Config) -> "Networks":
+        """The networks that a config asks for, on an environment of these sizes."""
+        obs = spaces.obs_size + (config.rollout.time_limit == "time-feature")
+        policy = (obs, *_hidden(config.network, obs, 10 * spaces.action_size), spaces.output_size)
+        critic = Mlp((obs, *_hidden(config.network, obs, 5), 1))
+        return cls(
+            policy=Mlp(policy),
+            value=critic,
+            variance=critic if config.safety.variance_critic else None,
+            log_std_size=spaces.action_size if spaces.action_kind == "box" else 0,
+        )
+
+    @cached_property
+    def parts(self) -> dict[Network, slice]:
+        """Where each network's parameters lie in the run's vector."""
+        ends = [self.policy.size + self.log_std_size]
+        ends.append(ends[-1] + self.value.size)
+        slices: dict[Network, slice] = {
+            "policy": slice(0, ends[0]),
+            "value": slice(ends[0], ends[1]),
+        }
+        if self.variance is not None:
+            slices["variance"] = slice(ends[1], ends[1] + self.variance.size)
+        return slices
+
+    @property
+    def size(self) -> int:
+        """P: parameters of all networks."""
+        return max(part.stop for part in self.parts.values())
+
+    def split_policy(self, vector: Float32) -> tuple[Float32, Float32]:
+        """The policy's part of the run's vector, as (layers, log std)."""
+        return vector[: self.policy.size], vector[
+            self.policy.size : self.policy.size + self.log_std_size
+        ]
+
+    def initial(self, config: Config) -> Float32:
+        """[P] initial parameters; each network has its own stream of the run's seed."""
+        vector = np.zeros(self.size, np.float32)
+        parts = self.parts
+        networks: dict[Network, tuple[Mlp, float]] = {
+            "policy": (self.policy, 0.01),
+            "value": (self.value, 1.0),
+        }
+        if self.variance is not None:
+            networks["variance"] = (self.variance, 1.0)
+        for index, (name, (mlp, last_gain)) in enumerate(networks.items()):
+            rng = stream(config.run.seed, "init", index)
+            part = vector[parts[name]]
+            part[: mlp.size] = mlp.initial(rng, config.network.init, last_gain)
+        self.split_policy(vector)[1][:] = config.network.log_std_init
+        return vector
+
+    def log_std_rate(self, config: NetworkConfig) -> float:
+        """Learning-rate factor of log std; the paper's recipe derives it from the layer sizes."""
+        if config.log_std_rate > 0:
+            return config.log_std_rate
+        return float((10 * self.policy.sizes[-2]) // 48)
+
+
+def _hidden(config: NetworkConfig, obs: int, last: int) -> tuple[int, ...]:
+    """Hidden sizes; the paper's recipe: 10 O, the geometric mean, `last`."""
+    if config.architecture == "mlp":
+        return config.hidden_sizes
+    first = 10 * obs
+    return (first, int(math.sqrt(first * last)), last)

@@ -1,0 +1,68 @@
+"""What all commands share: threads, command line, log lines, exit codes."""
+
+import logging
+import os
+import signal
+import sys
+from collections.abc import Callable
+from types import FrameType
+from typing import NoReturn, TypeVar
+
+from dppo.errors import DppoError, UsageError
+
+Args = TypeVar("Args")
+
+
+class Terminated(BaseException):  # noqa: N818  like KeyboardInterrupt, not an error
+    """SIGTERM arrived."""
+
+
+def one_thread() -> None:
+    """One thread per process, before NumPy is imported: same shapes, same bits, no fighting."""
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+
+
+def parse(kind: type[Args], argv: list[str], program: str, default: Args | None = None) -> Args:
+    """The arguments, or exit code 2 with what is wrong and the nearest flags."""
+    import tyro
+
+    return tyro.cli(
+        kind, args=argv, prog=program, default=default,
+        config=(tyro.conf.OmitArgPrefixes,),
+    )  # fmt: skip
+
+
+def start_logging(verbose: bool) -> None:
+    """Log lines to stderr: time, who, what."""
+    logging.basicConfig(
+        level=logging.INFO if verbose else logging.WARNING,
+        format="%(asctime)s %(name)s: %(message)s", datefmt="%H:%M:%S", stream=sys.stderr,
+    )  # fmt: skip
+
+
+def leave(work: Callable[[], int]) -> NoReturn:
+    """Run `work` and end the process with its exit code, without waiting for any thread."""
+
+    def terminated(_signal: int, _frame: FrameType | None) -> None:
+        raise Terminated
+
+    signal.signal(signal.SIGTERM, terminated)
+    try:
+        code = work()
+    except UsageError as error:
+        code = _say(error, 2)
+    except DppoError as error:
+        code = _say(error, 1)
+    except (KeyboardInterrupt, Terminated):
+        code = 0
+    except BrokenPipeError:
+        code = 0
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+def _say(error: DppoError, code: int) -> int:
+    print(f"error: {error}", file=sys.stderr)  # noqa: T201
+    return code

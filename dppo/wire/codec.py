@@ -1,0 +1,125 @@
+"""Messages to bytes and back. The only place that knows msgpack.
+
+A frame has two parts. The header is msgpack: [version, message name, field values]; a vector or
+`bytes` field is there as its length only. The body is those fields' raw bytes, little-endian, one
+after the other. Nothing is looked up outside the closed table of messages, and every length is
+checked against the body before anything is allocated.
+"""
+
+from dataclasses import dataclass, fields
+from typing import Any, get_args, get_type_hints
+
+import msgpack
+import numpy as np
+from numpy.typing import NDArray
+
+from dppo.errors import WireError
+from dppo.wire.messages import Message
+
+VERSION = 1
+MAX_HEADER = 1 << 20
+"""Bytes of the longest header."""
+MAX_BODY = 1 << 30
+"""Bytes of the longest body."""
+
+_TYPES: dict[str, type[Message]] = {kind.__name__: kind for kind in get_args(Message)}
+_HINTS = {name: get_type_hints(kind) for name, kind in _TYPES.items()}
+_DTYPES: dict[Any, str] = {NDArray[np.float32]: "<f4", NDArray[np.float64]: "<f8", bytes: "|u1"}
+_SCALARS: dict[Any, type] = {int: int, float: float, str: str, bool: bool}
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One message as it travels."""
+
+    header: bytes
+    body: bytes | bytearray
+
+
+def encode(message: Message) -> Frame:
+    """The frame of a message."""
+    name = type(message).__name__
+    values: list[Any] = []
+    body = bytearray()
+    for field in fields(message):
+        value, hint = getattr(message, field.name), _HINTS[name][field.name]
+        if hint in _DTYPES:
+            raw = value if hint is bytes else np.ascontiguousarray(value, _DTYPES[hint])
+            values.append(len(value))
+            body += memoryview(raw).cast("B") if len(value) else b""
+        else:
+            values.append(value)
+    return Frame(msgpack.packb([VERSION, name, values]), body)
+
+
+def decode(frame: Frame) -> Message:
+    """The message of a frame.
+
+    Raises:
+        WireError: anything that is not exactly a message of this version, in one sentence.
+    """
+    kind, values = _header(frame)
+    decoded: dict[str, Any] = {}
+    start, body = 0, memoryview(frame.body)
+    for field, value in zip(fields(kind), values, strict=True):
+        hint = _HINTS[kind.__name__][field.name]
+        where = f"{kind.__name__}.{field.name}"
+        if hint not in _DTYPES:
+            decoded[field.name] = _plain(where, hint, value)
+            continue
+        dtype = np.dtype(_DTYPES[hint])
+        stop = start + _length(where, value) * dtype.itemsize
+        if stop > len(body):
+            raise WireError(f"{where} ends at byte {stop} of a body of {len(body)} bytes")
+        part = body[start:stop]
+        decoded[field.name] = bytes(part) if hint is bytes else np.frombuffer(part, dtype).copy()
+        start = stop
+    if start != len(body):
+        raise WireError(f"{kind.__name__} accounts for {start} of {len(body)} bytes of its body")
+    return kind(**decoded)
+
+
+def _header(frame: Frame) -> tuple[type[Message], list[Any]]:
+    if len(frame.header) > MAX_HEADER or len(frame.body) > MAX_BODY:
+        raise WireError(
+            f"a frame has {len(frame.header)} + {len(frame.body)} bytes, "
+            f"at most {MAX_HEADER} + {MAX_BODY} are accepted"
+        )
+    try:
+        header = msgpack.unpackb(
+            frame.header, strict_map_key=True, max_ext_len=0, max_map_len=0, max_bin_len=0
+        )
+    except Exception as error:  # msgpack raises a dozen kinds; all mean the same here
+        raise WireError(f"a header is not msgpack: {error}") from error
+    match header:
+        case [int(version), str(name), list(values)]:
+            pass
+        case _:
+            raise WireError("a header is not [version, message name, field values]")
+    if version != VERSION:
+        raise WireError(
+            f"a message has protocol version {version}, this process speaks {VERSION}; "
+            "install the same dppo version on learner and workers"
+        )
+    kind = _TYPES.get(name)
+    if kind is None:
+        raise WireError(f"{name[:40]!r} is no message of this protocol")
+    if len(values) != len(fields(kind)):
+        raise WireError(f"{name} has {len(values)} fields, expected {len(fields(kind))}")
+    return kind, values
+
+
+def _length(where: str, value: Any) -> int:  # noqa: ANN401  what msgpack gives
+    if type(value) is not int or value < 0:
+        raise WireError(f"{where} has length {value!r}, expected a whole number >= 0")
+    return value
+
+
+def _plain(where: str, hint: Any, value: Any) -> Any:  # noqa: ANN401  what msgpack gives
+    if hint in _SCALARS:
+        if type(value) is not _SCALARS[hint]:
+            raise WireError(f"{where} is a {type(value).__name__}, expected {hint.__name__}")
+        return value
+    if type(value) is not list or any(type(item) is not int for item in value):
+        raise WireError(f"{where} is {type(value).__name__}, expected a list of whole numbers")
+    return tuple(value)

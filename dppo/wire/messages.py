@@ -1,0 +1,245 @@
+"""The whole vocabulary between the learner and its workers.
+
+    worker                                learner
+      | -- Hello ------------------------> |   again and again until a Welcome comes
+      | <---------------------- Welcome -- |   run, generation, configuration
+      | -- Ready ------------------------> |   sizes of the environment
+      | <---------------------- Restore -- |   a slot's environments, if the worker lacks them
+      | <---------------------- Collect -- |   iteration i: parameters, statistics, ψ, β, slots
+      | -- Collected --------------------> |   one per slot: moments, episodes, snapshot
+      | <----------------------- Update -- |   update u: parameters, advantage moments, slots
+      | -- Gradient ---------------------> |   one per aligned block of slots
+      | <---------------------- Measure -- |   parameters after the last update
+      | -- Measured ---------------------> |   one per slot: KL over all its samples
+      | <------------------------- Stop -- |   with a reason
+      | -- Failure ----------------------> |   a slot or an environment that cannot go on
+
+Answers repeat the (generation, iteration, step) of the question; others are ignored. Any message
+but Hello may be lost with its connection: the learner then leases the slots anew, the worker says
+Hello again. There is no acknowledgement: the answer is one.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hello:
+    """A worker asks to join.
+
+    Example:
+        Hello(worker="w-3f2a", host="lab1", pid=7, numerics="9c1e", versions="mujoco 4.0.0")
+    """
+
+    worker: str
+    """Unique among the workers of a run: a new name for every process."""
+    host: str
+    pid: int
+    numerics: str
+    """Hash of a fixed computation: equal where floating point gives equal bits."""
+    versions: str
+    """Versions of the libraries that decide the bits."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ready:
+    """The worker has built the environment; sizes as in `dppo.spaces.Spaces`.
+
+    Example:
+        Ready(worker="w-3f2a", generation=1, obs_size=27, action_kind="box", action_sizes=(8,),
+              env_hash="5d41", exact="captured")
+    """
+
+    worker: str
+    generation: int
+    obs_size: int
+    action_kind: str
+    action_sizes: tuple[int, ...]
+    env_hash: str
+    """Hash of the model XML, empty for environments without one."""
+    exact: str
+    """How a slot's environments move: captured, replayed, or off."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Collected:
+    """A slot has run its T steps.
+
+    Example:
+        Collected(worker="w-3f2a", generation=1, iteration=0, step=0, slot=3, ...)
+    """
+
+    worker: str
+    generation: int
+    iteration: int
+    step: int
+    slot: int
+    obs: Float64  # moments [1 + 2 O] of the raw observations
+    returns: Float64  # moments [3] of the running discounted return
+    advantages: Float64  # moments [7] of A_V, A_σ, A_V − ψ A_σ
+    fit: Float64  # moments [7] of target of V, target − V, σ
+    sigma_target: Float64  # moments [3]
+    start_sigma: Float64  # moments [3] of σ(s_0)
+    episodes: Float64  # [2 k]  return and length of each finished episode, in order
+    snapshot: bytes
+    """The slot's environments after this iteration."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gradient:
+    """The sum of the gradients of an aligned block of slots.
+
+    Example:
+        Gradient(worker="w-3f2a", generation=1, iteration=0, step=1, first=4, size=4, ...)
+    """
+
+    worker: str
+    generation: int
+    iteration: int
+    step: int
+    first: int
+    size: int
+    stopped: tuple[int, ...]
+    """Slots of the block that have stopped their policy updates by themselves."""
+    vector: Float32  # [P] sum over samples
+    sums: Float64  # `dppo.gradients.Sums`
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measured:
+    """KL[π_old‖π] of one slot after the iteration's updates.
+
+    Example:
+        Measured(worker="w-3f2a", generation=1, iteration=0, step=81, slot=3, kl=5.2, weight=512.0)
+    """
+
+    worker: str
+    generation: int
+    iteration: int
+    step: int
+    slot: int
+    kl: float
+    """Sum over samples [nats]."""
+    weight: float
+    """Samples."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failure:
+    """Something only a person can mend: a sentence that names slot, environment and step.
+
+    Example:
+        Failure(worker="w-3f2a", generation=1, usage=False, reason="slot 3, environment 1, ...")
+    """
+
+    worker: str
+    generation: int
+    usage: bool
+    """True: the settings ask for something impossible; False: it happened on the way."""
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Welcome:
+    """The learner knows the worker.
+
+    Example:
+        Welcome(run="3f9c", generation=1, config='{"run": {...}, ...}')
+    """
+
+    run: str
+    generation: int
+    config: str
+    """`Config.to_dict` as JSON."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Restore:
+    """A slot's environments at the start of an iteration.
+
+    Example:
+        Restore(generation=1, iteration=4, slot=3, snapshot=b"...")
+    """
+
+    generation: int
+    iteration: int
+    slot: int
+    snapshot: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Collect:
+    """Run the policy for T steps on each of `slots`.
+
+    Example:
+        Collect(generation=1, iteration=4, step=0, slots=(0, 1), psi=0.1, beta=1.0, ...)
+    """
+
+    generation: int
+    iteration: int
+    step: int
+    slots: tuple[int, ...]
+    psi: float
+    beta: float
+    parameters: Float32  # [P]
+    obs: Float64  # moments [1 + 2 O]
+    returns: Float64  # moments [3]
+    sigma_target: Float64  # moments [3]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Update:
+    """Compute the gradient of update `step - 1` on each of `slots`.
+
+    Example:
+        Update(generation=1, iteration=4, step=1, slots=(0, 1), stopped=(), ...)
+    """
+
+    generation: int
+    iteration: int
+    step: int
+    slots: tuple[int, ...]
+    stopped: tuple[int, ...]
+    """Slots whose policy updates are over for this iteration."""
+    parameters: Float32  # [P]
+    advantages: Float64  # moments [7] over all slots
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measure:
+    """Measure KL[π_old‖π] on each of `slots`.
+
+    Example:
+        Measure(generation=1, iteration=4, step=81, slots=(0, 1), parameters=...)
+    """
+
+    generation: int
+    iteration: int
+    step: int
+    slots: tuple[int, ...]
+    parameters: Float32  # [P]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stop:
+    """The run is over for this worker.
+
+    Example:
+        Stop(reason="finished", final=True)
+    """
+
+    reason: str
+    final: bool
+    """False: the learner pauses; a worker with its own address waits for the next one."""
+
+
+Answer = Collected | Gradient | Measured
+Task = Collect | Update | Measure
+ToLearner = Hello | Ready | Answer | Failure
+ToWorker = Welcome | Restore | Task | Stop
+Message = ToLearner | ToWorker

@@ -1,0 +1,221 @@
+"""Both ends on Zenoh. The only place that talks to the network.
+
+The learner's session is a router that listens; workers are clients that dial out. Multicast and
+gossip are off, so a worker only ever meets the learner it was told about. Settings and their
+reasons: docs/protocol.md. Callbacks run in Zenoh's threads and only put into a queue.
+
+Keys, under `dppo/v1`:
+
+    g/<worker>        worker -> learner: every message of that worker
+    p/<worker>        learner -> worker: every message to that worker
+    live/w/<worker>   liveliness token of a worker
+    live/learner      liveliness token of the learner
+"""
+
+import contextlib
+import json
+import os
+import queue
+import threading
+from typing import Any
+
+# Zenoh's default of one sending thread lets one stuck link delay all others.
+os.environ.setdefault("ZENOH_RUNTIME", "(tx: (worker_threads: 4), rx: (worker_threads: 4))")
+
+import zenoh
+
+from dppo.errors import UsageError, WireError
+from dppo.wire.codec import Frame, decode, encode
+from dppo.wire.links import LearnerLost, Refused, WorkerLost
+from dppo.wire.messages import ToLearner, ToWorker
+
+BASE = "dppo/v1"
+_CLOSE_SECONDS = 3.0
+_Item = Frame | WorkerLost | LearnerLost
+_Inbox = queue.SimpleQueue[_Item]
+
+
+def _config(mode: str, endpoints: dict[str, Any]) -> zenoh.Config:
+    return zenoh.Config.from_json5(
+        json.dumps(
+            {
+                "mode": mode,
+                **endpoints,
+                "scouting": {
+                    "delay": 0,
+                    "multicast": {"enabled": False},
+                    "gossip": {"enabled": False},
+                },
+                "timestamping": {"enabled": False},
+                "adminspace": {"enabled": False},
+                "transport": {
+                    "unicast": {"accept_pending": 1000},
+                    "shared_memory": {"enabled": False},
+                    "link": {
+                        "tx": {
+                            "lease": 2000,  # ms; a silent peer is given up after this
+                            "queue": {
+                                "size": {"data": 16},
+                                "congestion_control": {"block": {"wait_before_close": 500_000}},
+                            },
+                        }
+                    },
+                },
+            }
+        )
+    )
+
+
+def _sentence(error: zenoh.ZError) -> str:
+    """Zenoh's message without the places in its source."""
+    return str(error).split(" at /")[0].split("[")[0].strip().rstrip(".:")
+
+
+def open_listening(address: str) -> zenoh.Session:
+    """The learner's session.
+
+    Raises:
+        UsageError: the address is malformed, taken, or not one of this host.
+    """
+    try:
+        return zenoh.open(_config("router", {"listen": {"endpoints": [address]}}))
+    except zenoh.ZError as error:
+        raise UsageError(
+            f"cannot listen on {address}: {_sentence(error)}; give --listen a free address of "
+            "this host, such as tcp/127.0.0.1:7447"
+        ) from error
+
+
+def open_connecting(address: str) -> zenoh.Session | None:
+    """A worker's session; None if nobody listens there now.
+
+    Raises:
+        UsageError: the address is malformed.
+    """
+    endpoints = {
+        "listen": {"endpoints": []},
+        "connect": {
+            "endpoints": [address],
+            "timeout_ms": 0,
+            "retry": {
+                "period_init_ms": 100,
+                "period_max_ms": 1000,
+                "period_increase_factor": 1.5,
+            },
+        },
+    }
+    try:
+        return zenoh.open(_config("client", endpoints))
+    except zenoh.ZError as error:
+        if "Unable to connect" in str(error):
+            return None
+        raise UsageError(
+            f"cannot connect to {address}: {_sentence(error)}; expected an address such as "
+            "tcp/learner:7447"
+        ) from error
+
+
+class _End:
+    """What both ends share: a session, an inbox, publishers, and a bounded close."""
+
+    def __init__(self, session: zenoh.Session) -> None:
+        zenoh.init_log_from_env_or("error")
+        self._session = session
+        self._inbox: _Inbox = queue.SimpleQueue()
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._kept: list[object] = []  # an entity is undeclared when nobody refers to it
+
+    def _subscribe(self, key: str) -> None:
+        def arrived(sample: zenoh.Sample) -> None:
+            attachment = sample.attachment
+            header = attachment.to_bytes() if attachment is not None else b""
+            self._inbox.put(Frame(header, sample.payload.to_bytes()))
+
+        handler = zenoh.handlers.Callback(arrived, indirect=False)
+        self._kept.append(self._session.declare_subscriber(key, handler))
+
+    def _watch(self, key: str, lost: type[LearnerLost] | None) -> None:
+        def changed(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.DELETE:
+                name = str(sample.key_expr).rsplit("/", 1)[1]
+                self._inbox.put(lost() if lost else WorkerLost(name))
+
+        handler = zenoh.handlers.Callback(changed, indirect=False)
+        self._kept.append(
+            self._session.liveliness().declare_subscriber(key, handler, history=True)
+        )
+
+    def _live(self, key: str) -> None:
+        self._kept.append(self._session.liveliness().declare_token(key))
+
+    def _put(self, key: str, message: ToLearner | ToWorker) -> None:
+        if key not in self._publishers:
+            self._publishers[key] = self._session.declare_publisher(
+                key, congestion_control=zenoh.CongestionControl.BLOCK
+            )
+        frame = encode(message)
+        self._publishers[key].put(zenoh.ZBytes(frame.body), attachment=frame.header)
+
+    def _next(self, timeout: float) -> Any:  # noqa: ANN401  narrowed by the two ends
+        try:
+            item = self._inbox.get(timeout=timeout) if timeout > 0 else self._inbox.get_nowait()
+        except queue.Empty:
+            return None
+        if not isinstance(item, Frame):
+            return item
+        try:
+            return decode(item)
+        except WireError as error:
+            return Refused(str(error))
+
+    def close(self) -> None:
+        """Close the session; give up waiting for it after three seconds."""
+
+        def close() -> None:
+            with contextlib.suppress(zenoh.ZError):
+                self._session.close()
+
+        closing = threading.Thread(target=close, daemon=True)
+        closing.start()
+        closing.join(_CLOSE_SECONDS)
+
+
+class ZenohLearnerLink(_End):
+    """A `LearnerLink`."""
+
+    def __init__(self, address: str) -> None:
+        super().__init__(open_listening(address))
+        self._subscribe(f"{BASE}/g/*")
+        self._watch(f"{BASE}/live/w/*", None)
+        self._live(f"{BASE}/live/learner")  # last: whoever sees it may talk
+
+    def receive(self, timeout: float) -> ToLearner | WorkerLost | Refused | None:
+        """See `LearnerLink`."""
+        item: ToLearner | WorkerLost | Refused | None = self._next(timeout)
+        if isinstance(item, WorkerLost):
+            self._publishers.pop(f"{BASE}/p/{item.worker}", None)
+        return item
+
+    def send(self, worker: str, message: ToWorker) -> None:
+        """See `LearnerLink`."""
+        self._put(f"{BASE}/p/{worker}", message)
+
+
+class ZenohWorkerLink(_End):
+    """A `WorkerLink`; `name` must be a key segment: letters, digits, `-`."""
+
+    def __init__(self, session: zenoh.Session, name: str) -> None:
+        super().__init__(session)
+        self._key = f"{BASE}/g/{name}"
+        self._subscribe(f"{BASE}/p/{name}")
+        self._watch(f"{BASE}/live/learner", LearnerLost)
+        self._live(f"{BASE}/live/w/{name}")
+
+    def receive(self, timeout: float) -> ToWorker | LearnerLost | Refused | None:
+        """See `WorkerLink`."""
+        item: ToWorker | LearnerLost | Refused | None = self._next(timeout)
+        return item
+
+    def send(self, message: ToLearner) -> None:
+        """See `WorkerLink`."""
+        self._put(self._key, message)

@@ -1,0 +1,222 @@
+"""The chief: Algorithm 2 of Heess et al. 2017.
+
+    for i in {1, ..., N}:
+        workers run the policy                                         _collect
+        for m in {1, ..., M}, b in {1, ..., B}:
+            wait until at least W - D gradients are available          _exchange.gather
+            average them and update θ and φ                            _apply
+        adapt the KL coefficient                                       _adapt
+
+Policy, value and variance share their rounds: one message carries all three gradients. Waiting,
+leases and lost workers are in `exchange.py`; files and figures in `runlog.py`.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dppo.adam import adam, clipped
+from dppo.config import Config
+from dppo.gradients import Sums
+from dppo.losses import AdvantageStatistics
+from dppo.moments import Moments
+from dppo.networks import Networks
+from dppo.normalizer import Statistics
+from dppo.rounds import Round
+from dppo.schedules import (
+    adapt_kl_coef,
+    adapt_servo,
+    dual_psi,
+    learning_rate_factor,
+    scheduled_psi,
+)
+from dppo.sums import tree_sum, whole
+from dppo.wire.messages import Answer, Collect, Collected, Gradient, Measure, Measured, Update
+from learner.exchange import Exchange
+from learner.report import DroppedGradients, IterationReport, Training, summarise
+from learner.state import State
+
+Float32 = NDArray[np.float32]
+
+
+class Chief:
+    """The only one that changes parameters."""
+
+    def __init__(
+        self, state: State, networks: Networks, config: Config, generation: int,
+        exchange: Exchange, ledger: Callable[[DroppedGradients], None],
+    ) -> None:  # fmt: skip
+        self.state = state
+        self._networks, self._config, self._generation = networks, config, generation
+        self._exchange, self._ledger = exchange, ledger
+        self._parameters = state.parameters
+
+    def iterate(self) -> IterationReport:
+        """One iteration: collect, M and B updates, adaptation. `state` is then the next one's."""
+        before, updates = self.state, self._config.update.updates
+        psi = self._psi()
+        collected = self._collect(psi)
+        advantages = _merged([answer.advantages for answer in collected])
+        training = Training(psi, before.beta, AdvantageStatistics(advantages).stds)
+        stopped: set[int] = set()
+        for update in range(updates):
+            gradients = self._exchange.gather(
+                Update(
+                    generation=self._generation, iteration=before.iteration, step=1 + update,
+                    slots=self._slots, stopped=tuple(sorted(stopped)),
+                    parameters=self._parameters, advantages=advantages.to_vector(),
+                ),
+                quorum=self._config.rollout.quorum,
+            )  # fmt: skip
+            self._note_dropped(gradients, training)
+            stopped |= self._apply(gradients, training)
+        measured = self._exchange.gather(
+            Measure(
+                generation=self._generation, iteration=before.iteration, step=1 + updates,
+                slots=self._slots, parameters=self._parameters,
+            ),
+            quorum=self._config.rollout.quorum,
+        )  # fmt: skip
+        self._adapt(measured, collected, training)
+        return summarise(
+            before, self.state, collected, training, self._config, self._exchange.num_workers
+        )
+
+    @property
+    def _slots(self) -> tuple[int, ...]:
+        return tuple(range(self._config.rollout.slots))
+
+    def _psi(self) -> float:
+        """ψ of this iteration: moved by dual steps, or on its schedule."""
+        if np.isfinite(self._config.safety.variance_limit):
+            return self.state.psi
+        return scheduled_psi(self._config.safety, self.state.iteration / self._config.iterations)
+
+    def _collect(self, psi: float) -> list[Collected]:
+        """Every slot runs T steps; all of them must be in, whatever D is. In slot order."""
+        state = self.state
+        collect = Collect(
+            generation=self._generation, iteration=state.iteration, step=0, slots=self._slots,
+            psi=psi, beta=state.beta, parameters=state.parameters,
+            obs=state.statistics.obs.to_vector(), returns=state.statistics.returns.to_vector(),
+            sigma_target=state.statistics.sigma_target.to_vector(),
+        )  # fmt: skip
+        self._parameters = state.parameters
+        self._exchange.begin_iteration(collect, state.snapshots)
+        answers = self._exchange.gather(collect, quorum=self._config.rollout.slots).answers
+        return [cast("Collected", answers[slot, 1]) for slot in self._slots]
+
+    def _apply(self, gradients: Round[Answer], training: Training) -> set[int]:
+        """Average the accepted gradients, clip, one Adam step per network; slots that stop."""
+        answers = cast("dict[tuple[int, int], Gradient]", gradients.answers)
+        root = whole(self._config.rollout.slots)
+        vector = tree_sum({block: answer.vector for block, answer in answers.items()}, root)
+        total = tree_sum({block: answer.sums for block, answer in answers.items()}, root)
+        assert vector is not None
+        assert total is not None
+        sums = Sums.from_vector(total)
+        stop = self._stops(sums)
+        training.note(sums, stop)
+        if not stop:
+            self._step(vector, sums, training)
+            return {slot for answer in answers.values() for slot in answer.stopped}
+        self._step(vector, replace(sums, policy_weight=0.0), training)
+        return set(self._slots)
+
+    def _stops(self, sums: Sums) -> bool:
+        """KL > 4 KL_target, on the mean over the accepted gradients: policy updates end here."""
+        kl = self._config.kl
+        return kl.kl_scope == "chief" and sums.mean_kl > kl.kl_stop * kl.kl_target
+
+    def _step(self, vector: Float32, sums: Sums, training: Training) -> None:
+        """θ, φ and the variance network's parameters after one update each."""
+        settings, state = self._config.update, self.state
+        factor = learning_rate_factor(self._config, state.iteration)
+        parameters, optimizers = self._parameters.copy(), dict(state.optimizers)
+        for name, part in self._networks.parts.items():
+            weight = sums.policy_weight if name == "policy" else sums.critic_weight
+            if weight == 0:
+                continue
+            rate: Float32 | float = factor * settings.critic_learning_rate
+            if name == "policy":
+                rate = self._policy_rates(factor * state.servo * settings.learning_rate)
+            mean, norm = clipped(vector[part] / np.float32(weight), settings.max_grad_norm)
+            optimizers[name], change = adam(
+                optimizers[name], mean, rate, eps=settings.adam_eps
+            )
+            parameters[part] += change
+            training.note_norm(name, norm)
+        self._parameters = parameters
+        self.state = replace(state, optimizers=optimizers)
+
+    def _policy_rates(self, rate: float) -> Float32:
+        """[policy's part] step sizes; log std has a factor of its own."""
+        part = self._networks.parts["policy"]
+        rates = np.full(part.stop - part.start, rate, np.float32)
+        rates[self._networks.policy.size :] *= self._networks.log_std_rate(self._config.network)
+        return rates
+
+    def _adapt(
+        self, measured: Round[Answer], collected: list[Collected], training: Training
+    ) -> None:
+        """β by the final KL, ψ by σ(s_0), statistics by what was seen; on to iteration i + 1."""
+        state, config = self.state, self._config
+        kls = {
+            answer.slot: (answer.kl, answer.weight)
+            for answer in cast("list[Measured]", list(measured.answers.values()))
+        }
+        total = [kls[slot] for slot in sorted(kls)]
+        training.kl = sum(kl for kl, _ in total) / sum(weight for _, weight in total)
+        beta = state.beta
+        if config.kl.kl_scope == "chief":
+            beta = adapt_kl_coef(beta, training.kl, config.kl)
+        else:
+            for kl, weight in total:
+                beta = adapt_kl_coef(beta, kl / weight, config.kl, config.rollout.slots)
+        servo = state.servo
+        if config.update.lr_schedule == "servo":
+            servo = adapt_servo(servo, beta, training.kl, config.kl)
+        starts = _merged([answer.start_sigma for answer in collected])
+        psi = state.psi
+        if starts.count > 0:
+            psi = dual_psi(psi, float(starts.mean[0]), config.safety)
+        statistics = state.statistics
+        for answer in collected:
+            statistics = statistics.merge(_statistics(answer))
+        episodes = [answer.episodes.reshape(-1, 2) for answer in collected]
+        self.state = replace(
+            state.with_episodes(np.concatenate(episodes)),
+            iteration=state.iteration + 1, parameters=self._parameters, statistics=statistics,
+            beta=beta, psi=psi, servo=servo,
+            dropped_gradients=state.dropped_gradients + training.dropped,
+            snapshots={answer.slot: answer.snapshot for answer in collected},
+        )  # fmt: skip
+
+    def _note_dropped(self, gradients: Round[Answer], training: Training) -> None:
+        """The ledger: which slots this update went on without."""
+        if gradients.missing:
+            training.dropped += len(gradients.missing)
+            self._ledger(
+                DroppedGradients(
+                    iteration=gradients.id.iteration, update=gradients.id.step - 1,
+                    dropped=gradients.missing,
+                )  # fmt: skip
+            )
+
+
+def _merged(vectors: list[NDArray[np.float64]]) -> Moments:
+    """Moments of all slots together, merged in slot order."""
+    merged = Moments.from_vector(vectors[0])
+    for vector in vectors[1:]:
+        merged = merged.merge(Moments.from_vector(vector))
+    return merged
+
+
+def _statistics(answer: Collected) -> Statistics:
+    return Statistics(
+        Moments.from_vector(answer.obs), Moments.from_vector(answer.returns),
+        Moments.from_vector(answer.sigma_target),
+    )  # fmt: skip

@@ -1,0 +1,298 @@
+"""Asks all slots something and gathers the answers, whoever holds them, whatever dies meanwhile.
+
+The rules are in `dppo.rounds` and `dppo.leases`; this file feeds them with what arrives and carries
+out what they say. A worker that is lost costs one redo of its slots: their heirs restore the slots'
+environments, collect the iteration again, and join at the present question.
+"""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dppo.errors import RunFailedError, UsageError
+from dppo.leases import Leases
+from dppo.rounds import Round, RoundId
+from dppo.spaces import Spaces
+from dppo.wire.links import LearnerLink, Refused, WorkerLost
+from dppo.wire.messages import (
+    Answer,
+    Collect,
+    Collected,
+    Failure,
+    Gradient,
+    Hello,
+    Measured,
+    Ready,
+    Restore,
+    Stop,
+    Task,
+    Welcome,
+)
+
+log = logging.getLogger("learner")
+_TICK = 0.25
+"""Longest wait for one event [s]; children and signals are looked after in between."""
+_REMARK_SECONDS = 10.0
+_ANSWER_TO = {"Collect": Collected, "Update": Gradient, "Measure": Measured}
+
+
+@dataclass(slots=True)
+class _Busy:
+    """The newest question a worker has been asked, and the slots it still owes answers for."""
+
+    id: RoundId
+    slots: set[int]
+
+
+class Exchange:
+    """The learner's side of every round."""
+
+    def __init__(
+        self, link: LearnerLink, welcome: Welcome, leases: Leases, look_after: Callable[[], None],
+        parameter_count: Callable[[], int],
+    ) -> None:  # fmt: skip
+        """`look_after` is called in every pause; it may raise to end the run."""
+        self._link, self._welcome, self._leases = link, welcome, leases
+        self._look_after, self._parameter_count = look_after, parameter_count
+        self._hellos: dict[str, Hello] = {}
+        self._first_numerics = ""
+        self._busy: dict[str, _Busy] = {}
+        self._collect: Collect | None = None
+        self._snapshots: dict[int, bytes] = {}
+        self._task: Task | None = None
+        self._round: Round[Answer] | None = None
+        self.ready: Ready | None = None
+        """The first worker's report of the environment."""
+
+    @property
+    def num_workers(self) -> int:
+        """Workers in the run now."""
+        return len(self._leases.workers)
+
+    def wait_for_environment(self) -> Spaces:
+        """Wait until a worker has built the environment; its sizes."""
+        begun = remarked = time.monotonic()
+        while self.ready is None:
+            self._handle(_TICK)
+            if time.monotonic() - remarked > _REMARK_SECONDS:
+                remarked = time.monotonic()
+                log.warning("waiting for a first worker, for %.0f s", remarked - begun)
+        return _spaces(self.ready)
+
+    def begin_iteration(self, collect: Collect, snapshots: dict[int, bytes]) -> None:
+        """Spread the slots anew; remember what a lost slot has to be started from."""
+        self._collect, self._snapshots = collect, snapshots
+        self._leases.spread()
+
+    def gather(self, task: Task, quorum: int) -> Round[Answer]:
+        """Ask all slots, wait until the quorum is in, take what else is there; the round."""
+        self._look_after()
+        round_id = RoundId(task.generation, task.iteration, task.step)
+        self._task, self._round = task, Round(round_id, task.slots, quorum)
+        for worker in list(self._leases.workers):
+            self._ask(worker, self._leases.slots_of(worker))
+        begun = remarked = time.monotonic()
+        while not self._round.may_close:
+            self._handle(_TICK)
+            if time.monotonic() - remarked > _REMARK_SECONDS:
+                remarked = time.monotonic()
+                log.warning("%s, for %.0f s", self._waiting_for(), remarked - begun)
+        while self._round.missing and self._handle(0.0):
+            pass
+        done, self._round = self._round, None
+        if isinstance(task, Collect) and done.missing:
+            raise AssertionError("a collection has no quorum below all slots")
+        return done
+
+    def stop(self, reason: str, final: bool) -> None:
+        """Tell every worker that the run is over, or that this learner pauses."""
+        for worker in self._hellos:
+            self._link.send(worker, Stop(reason=reason, final=final))
+
+    # events
+
+    def _handle(self, timeout: float) -> bool:
+        """One event, or one silence; was it an event?"""
+        event = self._link.receive(timeout)
+        match event:
+            case Hello():
+                self._greet(event)
+            case Ready():
+                self._admit(event)
+            case Collected() | Gradient() | Measured():
+                self._take(event)
+            case WorkerLost():
+                self._lose(event.worker, "its connection is gone")
+            case Failure():
+                self._fail(event)
+            case Refused():
+                log.warning("ignored a message: %s", event.reason)
+            case None:
+                self._look_after()
+        return event is not None
+
+    def _greet(self, hello: Hello) -> None:
+        if hello.worker in self._leases.workers:
+            self._lose(hello.worker, "it joins anew")
+        numerics = f"{hello.numerics}, {hello.versions}"
+        self._first_numerics = self._first_numerics or numerics
+        if numerics != self._first_numerics:
+            log.warning(
+                "worker %s on %s computes with (%s), the first worker with (%s): the same bits as "
+                "on one kind of machine are not to be expected",
+                hello.worker, hello.host, numerics, self._first_numerics,
+            )  # fmt: skip
+        self._hellos[hello.worker] = hello
+        self._link.send(hello.worker, self._welcome)
+
+    def _admit(self, ready: Ready) -> None:
+        if ready.worker not in self._hellos or ready.generation != self._welcome.generation:
+            return
+        first = self.ready
+        if first is not None and replace(ready, worker=first.worker) != first:
+            self._expel(
+                ready.worker,
+                f"worker {ready.worker} has another environment than {first.worker}: "
+                f"{_spaces(ready)}, XML {ready.env_hash[:8]} {ready.exact}; expected "
+                f"{_spaces(first)}, XML {first.env_hash[:8]} {first.exact}; install the same "
+                "versions of gymnasium and mujoco",
+            )
+            return
+        self.ready = first or ready
+        taken = self._leases.join(ready.worker)
+        log.info("worker %s joined, %d in the run", ready.worker, self.num_workers)
+        if self._round is not None:
+            self._ask(ready.worker, taken)
+
+    def _lose(self, worker: str, why: str) -> None:
+        self._hellos.pop(worker, None)
+        self._busy.pop(worker, None)
+        if worker not in self._leases.workers:
+            return
+        heirs = self._leases.leave(worker)
+        log.info("worker %s left: %s; %d in the run", worker, why, self.num_workers)
+        if self._round is not None:
+            for heir, slots in heirs.items():
+                self._ask(heir, slots)
+
+    def _expel(self, worker: str, reason: str) -> None:
+        log.warning("%s; it is sent away", reason)
+        self._link.send(worker, Stop(reason=reason, final=True))
+        self._lose(worker, "it was sent away")
+
+    def _fail(self, failure: Failure) -> None:
+        """An environment failed: the same would happen on every other worker."""
+        where = self._hellos.get(failure.worker)
+        if failure.usage and self.ready is None:
+            raise UsageError(failure.reason)
+        if failure.usage:
+            self._expel(failure.worker, f"worker {failure.worker}: {failure.reason}")
+            return
+        host = where.host if where else "unknown host"
+        raise RunFailedError(f"{failure.reason}; worker {failure.worker} on {host}")
+
+    # questions and answers
+
+    def _ask(self, worker: str, slots: tuple[int, ...]) -> None:
+        """Put the present question to a worker, for those of `slots` that have not answered."""
+        assert self._task is not None
+        assert self._round is not None
+        assert self._collect is not None
+        wanted = tuple(slot for slot in slots if slot in self._round.missing)
+        busy = self._busy.get(worker)
+        if not wanted or (busy is not None and busy.slots and busy.id != self._round.id):
+            return  # a late worker is asked again when it has answered
+        lacking = tuple(slot for slot in wanted if slot not in self._leases.current)
+        for slot in lacking:
+            if slot in self._snapshots:
+                self._link.send(
+                    worker,
+                    Restore(
+                        generation=self._welcome.generation, iteration=self._collect.iteration,
+                        slot=slot, snapshot=self._snapshots[slot],
+                    ),
+                )  # fmt: skip
+        if lacking and not isinstance(self._task, Collect):
+            self._link.send(worker, replace(self._collect, slots=lacking))
+        self._link.send(worker, replace(self._task, slots=wanted))
+        owed = busy.slots if busy is not None else set()
+        self._busy[worker] = _Busy(self._round.id, owed | set(wanted))
+
+    def _take(self, answer: Answer) -> None:
+        first, size = _block(answer)
+        aligned = size > 0 and size & (size - 1) == 0 and first % size == 0
+        if not aligned or answer.worker not in self._hellos:
+            return
+        round_id = RoundId(answer.generation, answer.iteration, answer.step)
+        self._settle(answer, round_id, range(first, first + min(size, self._leases.num_slots)))
+        if self._round is None or self._task is None or round_id != self._round.id:
+            return
+        if not isinstance(answer, _ANSWER_TO[type(self._task).__name__]):
+            return
+        if not self._sound(answer):
+            return
+        self._round.offer(round_id, (first, size), answer)
+
+    def _settle(self, answer: Answer, round_id: RoundId, slots: range) -> None:
+        """Note what the answer says about its sender, whether or not it still counts."""
+        collect = self._collect
+        if isinstance(answer, Collected) and collect is not None:
+            if (answer.generation, answer.iteration) == (collect.generation, collect.iteration):
+                self._leases.mark_current(answer.slot, answer.worker)
+        busy = self._busy.get(answer.worker)
+        if busy is None or busy.id != round_id:
+            return
+        busy.slots.difference_update(slots)
+        late = self._round is not None and busy.id != self._round.id
+        if late and not busy.slots and answer.worker in self._leases.workers:
+            del self._busy[answer.worker]
+            self._ask(answer.worker, self._leases.slots_of(answer.worker))
+
+    def _sound(self, answer: Answer) -> bool:
+        """Shapes as the config says, numbers finite; a worker that breaks either is dealt with."""
+        if not isinstance(answer, Gradient):
+            return True
+        expected = self._parameter_count()
+        if len(answer.vector) != expected:
+            self._expel(
+                answer.worker,
+                f"worker {answer.worker} sent a gradient of {len(answer.vector)} numbers, the "
+                f"networks have {expected} parameters",
+            )
+            return False
+        if not np.isfinite(answer.vector.sum(dtype=np.float64) + answer.sums.sum()):
+            host = self._hellos[answer.worker].host
+            raise RunFailedError(
+                f"slots {answer.first} to {answer.first + answer.size - 1} on worker "
+                f"{answer.worker} ({host}) sent a gradient that is not finite, iteration "
+                f"{answer.iteration}, update {answer.step - 1}; lower --learning-rate or look at "
+                "the rewards' scale"
+            )
+        return True
+
+    def _waiting_for(self) -> str:
+        """Who keeps us waiting, in words."""
+        assert self._round is not None
+        missing = self._round.missing
+        if not self._leases.workers:
+            return f"iteration {self._round.id.iteration}: waiting for any worker"
+        holders = sorted({self._leases.holder.get(slot, "nobody") for slot in missing})
+        return (
+            f"iteration {self._round.id.iteration}, step {self._round.id.step}: waiting for slots "
+            f"{list(missing)} of {', '.join(holders)}"
+        )
+
+
+def _block(answer: Answer) -> tuple[int, int]:
+    return (answer.first, answer.size) if isinstance(answer, Gradient) else (answer.slot, 1)
+
+
+def _spaces(ready: Ready) -> Spaces:
+    return Spaces(
+        obs_size=ready.obs_size,
+        action_kind="box" if ready.action_kind == "box" else "discrete",
+        action_sizes=ready.action_sizes,
+    )

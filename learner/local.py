@@ -1,0 +1,105 @@
+"""Worker processes on the learner's own machine: started, looked after, ended."""
+
+import contextlib
+import logging
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+
+from dppo.errors import RunFailedError
+
+log = logging.getLogger("learner")
+_MOST_RESTARTS = 20
+_TROUBLE_SECONDS = 5.0
+"""A worker that dies younger than this counts as one that cannot start."""
+_END_SECONDS = 3.0
+
+
+def usable_cores() -> int:
+    """Cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def free_address() -> str:
+    """A loopback address with a port that was free a moment ago."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+@dataclass(slots=True)
+class _Child:
+    process: subprocess.Popen[bytes]
+    born: float
+
+
+@dataclass(slots=True)
+class LocalWorkers:
+    """`count` worker processes that connect to `address`. They die with this process.
+
+    Each holds the read end of a pipe whose write end only this process has: however this process
+    ends, kill -9 included, they see the end of the file and exit.
+    """
+
+    address: str
+    count: int
+    verbose: bool
+    _children: dict[int, _Child] = field(default_factory=dict)
+    _restarts: int = 0
+
+    def start(self) -> None:
+        """Start all of them."""
+        for index in range(self.count):
+            self._children[index] = self._spawn(index, 0)
+
+    def look_after(self) -> None:
+        """Start again what has died.
+
+        Raises:
+            RunFailedError: they die again and again, or as soon as they start.
+        """
+        for index, child in self._children.items():
+            code = child.process.poll()
+            if code is None:
+                continue
+            self._restarts += 1
+            log.warning("local worker %d died with exit code %d; starting another", index, code)
+            young = time.monotonic() - child.born < _TROUBLE_SECONDS
+            if self._restarts > _MOST_RESTARTS or (young and code > 0 and self._restarts > 2):
+                raise RunFailedError(
+                    f"local workers died {self._restarts} times, the last with exit code {code}; "
+                    "see what they printed above"
+                )
+            self._children[index] = self._spawn(index, self._restarts)
+
+    def end(self) -> None:
+        """End all of them, within three seconds."""
+        until = time.monotonic() + _END_SECONDS
+        for child in self._children.values():
+            with contextlib.suppress(OSError):
+                assert child.process.stdin is not None
+                child.process.stdin.close()
+        for child in self._children.values():
+            try:
+                child.process.wait(max(0.1, until - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                child.process.send_signal(signal.SIGKILL)
+                child.process.wait()
+        self._children.clear()
+
+    def _spawn(self, index: int, restart: int) -> _Child:
+        name = f"local-{index}" + (f"-{restart}" if restart else "")
+        command = [
+            sys.executable, "-m", "workers", "--end-with-stdin", "--connect", self.address,
+            "--name", name, *(["--verbose"] if self.verbose else []),
+        ]  # fmt: skip
+        process = subprocess.Popen(  # noqa: S603  our own module
+            command, stdin=subprocess.PIPE, start_new_session=True
+        )
+        return _Child(process, time.monotonic())

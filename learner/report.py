@@ -1,0 +1,110 @@
+"""Facts that an iteration yields: frozen figures for logs, console and files."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dppo.config import Config
+from dppo.gradients import Sums
+from dppo.moments import Moments
+from dppo.networks import Network
+from dppo.wire.messages import Collected
+from learner.state import State
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DroppedGradients:
+    """One ledger line: an update that went on without some slots."""
+
+    iteration: int
+    update: int
+    dropped: tuple[int, ...]
+
+
+@dataclass(slots=True)
+class Training:
+    """Figures of one iteration's updates while they are made."""
+
+    psi: float
+    beta: float
+    advantage_stds: tuple[float, float, float]
+    """Standard deviations of A_V, A_σ and A_V − ψ A_σ, before standardising."""
+    kl: float = 0.0
+    """Mean KL[π_old‖π] after the last update [nats]."""
+    dropped: int = 0
+    policy_updates: int = 0
+    sums: list[Sums] = field(default_factory=list)
+    norms: dict[Network, float] = field(default_factory=dict)
+
+    def note(self, sums: Sums, stop: bool) -> None:
+        """One update's sums; `stop`: its policy gradient is not applied."""
+        self.sums.append(sums)
+        self.policy_updates += int(sums.policy_weight > 0 and not stop)
+
+    def note_norm(self, name: Network, norm: float) -> None:
+        """Norm of a network's averaged gradient before clipping; the last one stays."""
+        self.norms[name] = norm
+
+    def mean(self, name: str, weight: str) -> float:
+        """Weighted mean of a sum over the iteration's updates; 0 without any."""
+        total = sum(getattr(sums, weight) for sums in self.sums)
+        return sum(getattr(sums, name) for sums in self.sums) / total if total else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class IterationReport:
+    """One finished iteration. `metrics` are a pure function of config and seed, but cluster/."""
+
+    iteration: int
+    """Iterations finished."""
+    env_steps: int
+    """Environment steps of all slots so far."""
+    metrics: dict[str, float]
+    """Name (as SB3 and CleanRL call it) to value."""
+
+
+def cvar(returns: np.ndarray[tuple[int], np.dtype[np.float64]], fraction: float = 0.1) -> float:
+    """Mean of the worst `fraction` of the returns, of at least one."""
+    worst = np.sort(returns)[: max(1, int(np.ceil(fraction * len(returns))))]
+    return float(worst.mean())
+
+
+def summarise(
+    before: State, after: State, collected: list[Collected], training: Training, config: Config,
+    num_workers: int,
+) -> IterationReport:  # fmt: skip
+    """The report of the iteration between two states."""
+    fit = Moments.from_vector(collected[0].fit)
+    for answer in collected[1:]:
+        fit = fit.merge(Moments.from_vector(answer.fit))
+    spread = fit.m2 / max(fit.count, 1.0)
+    metrics = {
+        "train/kl": training.kl,
+        "train/kl_coef": after.beta,
+        "train/policy_updates": float(training.policy_updates),
+        "train/policy_loss": -training.mean("objective", "policy_weight"),
+        "train/value_loss": training.mean("value_loss", "critic_weight"),
+        "train/variance_loss": training.mean("variance_loss", "critic_weight"),
+        "train/explained_variance": float(1 - spread[1] / spread[0]) if spread[0] > 0 else 0.0,
+        "train/reward_scale": before.statistics.reward_scale(config),
+        "safety/psi": training.psi,
+        "safety/sigma_mean": float(fit.mean[2]),
+        "safety/adv_v_std": training.advantage_stds[0],
+        "safety/adv_sigma_std": training.advantage_stds[1],
+        "cluster/workers": float(num_workers),
+        "cluster/dropped": float(training.dropped),
+    }
+    metrics |= {f"train/{name}_grad_norm": norm for name, norm in training.norms.items()}
+    if len(after.episodes):
+        returns, lengths = after.episodes.T
+        metrics |= {
+            "rollout/ep_rew_mean": float(returns.mean()),
+            "rollout/ep_len_mean": float(lengths.mean()),
+            "charts/episodic_return": float(returns[-1]),
+            "safety/return_std": float(returns.std()),
+            "safety/cvar10": cvar(returns),
+        }
+    return IterationReport(
+        iteration=after.iteration, env_steps=after.iteration * config.rollout.samples,
+        metrics=metrics,
+    )  # fmt: skip

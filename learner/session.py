@@ -1,0 +1,190 @@
+"""One learner at work: from a configuration to result.json."""
+
+import json
+import logging
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from importlib.metadata import version
+
+import numpy as np
+
+from dppo.config import Config
+from dppo.leases import Leases
+from dppo.networks import Networks
+from dppo.spaces import Spaces
+from dppo.store.checkpoint import (
+    mark_best,
+    name_of,
+    newest_checkpoint,
+    prune,
+    save_checkpoint,
+    sha256,
+)
+from dppo.store.run_directory import RunDirectory
+from dppo.wire.links import LearnerLink
+from dppo.wire.messages import Welcome
+from learner.chief import Chief
+from learner.console import Console
+from learner.exchange import Exchange
+from learner.report import IterationReport, cvar
+from learner.runlog import RunLog
+from learner.state import State
+
+log = logging.getLogger("learner")
+_VERSIONS = ("dppo", "numpy", "mujoco", "gymnasium", "eclipse-zenoh")
+
+
+class Session:
+    """A run on one link: trains, checkpoints, reports."""
+
+    def __init__(
+        self, config: Config, folder: RunDirectory, link: LearnerLink,
+        look_after: Callable[[], None], checkpoint_every: int, keep: int,
+    ) -> None:  # fmt: skip
+        self._config, self._folder = config, folder
+        self._every, self._keep = checkpoint_every, keep
+        self.generation = folder.next_generation()
+        self._parameter_count = 0
+        welcome = Welcome(
+            run=folder.path.name, generation=self.generation, config=json.dumps(config.to_dict())
+        )
+        self._exchange = Exchange(
+            link, welcome, Leases(config.rollout.slots), look_after, lambda: self._parameter_count
+        )
+        self._disk = ThreadPoolExecutor(1)  # checkpoints are written beside the training
+        self._saving: Future[None] | None = None
+        self._saved = -1
+        self.state: State | None = None
+
+    def train(self, stop_at: int) -> dict[str, object]:
+        """Train to the end, or until `stop_at` environment steps; the contents of result.json."""
+        checkpoint = newest_checkpoint(self._folder.checkpoints)
+        spaces = self._exchange.wait_for_environment()
+        networks = Networks.build(spaces, self._config)
+        self._parameter_count = networks.size
+        if checkpoint is None:
+            self.state = State.initial(networks, spaces.obs_size, self._config)
+            self._write_config(spaces, networks)
+        else:
+            self.state = State.from_checkpoint(checkpoint)
+            self._saved = self.state.iteration
+            log.warning("resuming at iteration %d of %d", self._saved, self._config.iterations)
+        runlog = RunLog(self._folder.path, self.state.iteration)
+        console = Console(self._config, self.state.iteration * self._config.rollout.samples)
+        try:
+            self._iterate(networks, runlog, console, stop_at)
+        finally:
+            console.close()
+            runlog.close()
+        finished = self.state.iteration >= self._config.iterations
+        self._exchange.stop("the run is finished" if finished else "the learner pauses", finished)
+        return self._result("finished" if finished else "stopped")
+
+    def save(self) -> None:
+        """Make sure that the newest whole iteration is on the disk."""
+        if self.state is not None and self._saved != self.state.iteration:
+            self._save(self.state)
+        if self._saving is not None:
+            self._saving.result()
+
+    def interrupted(self) -> dict[str, object] | None:
+        """After a signal: pause the workers; the contents of result.json, if anything was done."""
+        self._exchange.stop("the learner was stopped", final=False)
+        return None if self.state is None else self._result("stopped")
+
+    def _iterate(
+        self, networks: Networks, runlog: RunLog, console: Console, stop_at: int
+    ) -> None:
+        assert self.state is not None
+        chief = Chief(
+            self.state, networks, self._config, self.generation, self._exchange, runlog.dropped
+        )
+        rounds = self._config.update.updates + 2
+        while self.state.iteration < self._config.iterations:
+            begun = time.monotonic()
+            report = chief.iterate()
+            seconds = time.monotonic() - begun
+            speed = self._config.rollout.samples / seconds
+            self.state = chief.state
+            runlog.write(report, speed, 1000 * seconds / rounds)
+            console.show(report, speed)
+            due = self.state.iteration % self._every == 0
+            if due or self.state.iteration == self._config.iterations:
+                self._save(self._judged(report))
+            if report.env_steps >= stop_at:
+                break
+            chief.state = self.state
+        self.save()
+
+    def _judged(self, report: IterationReport) -> State:
+        """The state, with the highest mean return so far."""
+        assert self.state is not None
+        mean = report.metrics.get("rollout/ep_rew_mean", -np.inf)
+        self.state = replace(self.state, best_mean=max(mean, self.state.best_mean))
+        return self.state
+
+    def _save(self, state: State) -> None:
+        """Save in the background; at most one at a time."""
+        if self._saving is not None:
+            self._saving.result()
+        self._saved = state.iteration
+        self._saving = self._disk.submit(self._write, state)
+
+    def _write(self, state: State) -> None:
+        folder, name = self._folder.checkpoints, name_of(state.iteration)
+        facts = {
+            "config": self._config.to_dict(),
+            "env_steps": state.iteration * self._config.rollout.samples,
+            "parameters_sha256": sha256(state.parameters),
+            "spaces": self._spaces(),
+        }
+        save_checkpoint(folder, name, state.to_checkpoint(facts))
+        if len(state.episodes) and state.episodes[:, 0].mean() >= state.best_mean:
+            mark_best(folder, name, float(state.episodes[:, 0].mean()))
+        prune(folder, self._keep)
+
+    def _spaces(self) -> dict[str, object]:
+        ready = self._exchange.ready
+        assert ready is not None
+        return {
+            "obs_size": ready.obs_size,
+            "action_kind": ready.action_kind,
+            "action_sizes": list(ready.action_sizes),
+        }
+
+    def _write_config(self, spaces: Spaces, networks: Networks) -> None:
+        ready = self._exchange.ready
+        assert ready is not None
+        self._folder.write_json(
+            "config.json",
+            {
+                "config": self._config.to_dict(),
+                "versions": {name: version(name) for name in _VERSIONS},
+                "environment": {
+                    **self._spaces(), "model_xml_sha256": ready.env_hash, "moves_by": ready.exact,
+                    "exact": ready.exact != "off",
+                },
+                "parameters": networks.size,
+                "iterations": self._config.iterations,
+            },
+        )  # fmt: skip
+
+    def _result(self, status: str) -> dict[str, object]:
+        assert self.state is not None
+        state, returns = self.state, self.state.episodes[:, 0]
+        some = len(returns) > 0
+        return {
+            "status": status,
+            "env": self._config.run.env,
+            "seed": self._config.run.seed,
+            "iterations": state.iteration,
+            "env_steps": state.iteration * self._config.rollout.samples,
+            "episode_return_mean": float(returns.mean()) if some else None,
+            "episode_return_std": float(returns.std()) if some else None,
+            "episode_return_cvar10": cvar(returns) if some else None,
+            "parameters_sha256": sha256(state.parameters),
+            "restarts": self.generation - 1,
+            "dropped_gradients": state.dropped_gradients,
+        }

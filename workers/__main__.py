@@ -1,0 +1,78 @@
+"""`dppo-worker`: command line -> link -> member. Everything from outside is read here."""
+
+import os
+import sys
+import threading
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class WorkerArgs:
+    """A worker: runs environments and computes gradients for the learner it connects to.
+
+    It needs nothing but the address: environment, settings and slots come from the learner. It may
+    be started before the learner, and it waits for the next one when the learner dies.
+    """
+
+    connect: str
+    """Address of the learner, e.g. tcp/learner:7447."""
+    name: str = ""
+    """Name in logs: letters, digits, '-'; empty: host and a random part."""
+    wait_seconds: float = float("inf")
+    """Give up when no learner answers for so long [s]."""
+    verbose: bool = False
+    """Log more."""
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run one worker process; the exit code says how it ended."""
+    from dppo.process import leave, one_thread, parse, start_logging
+
+    one_thread()
+    arguments = sys.argv[1:] if argv is None else argv
+    bound = "--end-with-stdin" in arguments  # the learner's own children, not for people
+    args = parse(WorkerArgs, [a for a in arguments if a != "--end-with-stdin"], "dppo-worker")
+    start_logging(args.verbose)
+    if bound:
+        threading.Thread(target=_end_with_stdin, daemon=True).start()
+    leave(lambda: _work(args))
+
+
+def _work(args: WorkerArgs) -> int:
+    import secrets
+    import socket
+
+    from dppo.errors import UsageError
+    from dppo.wire.zenoh_links import ZenohWorkerLink, open_connecting
+    from workers.envs import quiet
+    from workers.membership import LearnerAbsentError, Member, wait_for
+
+    host = "".join(c if c.isalnum() else "-" for c in socket.gethostname())[:20]
+    name = args.name or f"{host}-{secrets.token_hex(3)}"
+    if not all(c.isalnum() or c == "-" for c in name):
+        raise UsageError(f"--name is {name!r}, expected letters, digits and '-'")
+    quiet()
+
+    def connect() -> ZenohWorkerLink | None:
+        session = open_connecting(args.connect)
+        return None if session is None else ZenohWorkerLink(session, name)
+
+    try:
+        link = wait_for(connect, args.connect, args.wait_seconds)
+        stop = Member(name, link, args.wait_seconds).live()
+    except LearnerAbsentError as error:
+        raise UsageError(str(error)) from error
+    print(f"worker {name}: {stop.reason}", file=sys.stderr)  # noqa: T201
+    link.close()
+    return 0
+
+
+def _end_with_stdin() -> None:
+    """The learner holds the other end of our stdin: when it is gone, so are we."""
+    while os.read(0, 1024):
+        pass
+    os._exit(0)
+
+
+if __name__ == "__main__":
+    main()

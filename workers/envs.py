@@ -1,0 +1,148 @@
+"""Environments: made by id, described by sizes, refused by name."""
+
+import difflib
+import hashlib
+import json
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from dppo.config import RunConfig
+from dppo.errors import UsageError
+from dppo.spaces import Spaces
+
+Env = gymnasium.Env[Any, Any]
+Exactness = Literal["captured", "replayed", "off"]
+_TRANSPARENT = (
+    gymnasium.wrappers.TimeLimit,
+    gymnasium.wrappers.OrderEnforcing,
+    gymnasium.wrappers.PassiveEnvChecker,
+)
+"""Wrappers whose whole state a snapshot holds."""
+
+
+def make_env(config: RunConfig) -> Env:
+    """The environment of a run.
+
+    Raises:
+        UsageError: unknown id (with near names), wrong keyword arguments, missing packages.
+    """
+    known = sorted(gymnasium.registry)
+    name = config.env.rpartition(":")[2]
+    if ":" not in config.env and name not in known:
+        near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+        hint = f"did you mean {', '.join(near)}?" if near else "see gymnasium.registry"
+        raise UsageError(f"--env is {config.env!r}, which Gymnasium does not know; {hint}")
+    try:
+        return gymnasium.make(
+            config.env, disable_env_checker=True, **json.loads(config.env_kwargs)
+        )
+    except Exception as error:  # an environment's constructor may raise anything
+        raise UsageError(
+            f"{config.env} cannot be made with {config.env_kwargs}: "
+            f"{type(error).__name__}: {error}"
+        ) from error
+
+
+def spaces_of(env: Env) -> Spaces:
+    """Sizes of an environment's spaces.
+
+    Raises:
+        UsageError: spaces that the trainer does not support, named.
+    """
+    observation, action = env.observation_space, env.action_space
+    name = env.spec.id if env.spec else type(env).__name__
+    if not observation.is_np_flattenable:
+        raise UsageError(
+            f"{name} has observation space {observation}, which cannot be flattened into a "
+            "vector; supported are Box, Discrete, MultiDiscrete, MultiBinary, and Dict and Tuple "
+            "of these"
+        )
+    size = spaces.flatdim(observation)
+    match action:
+        case spaces.Box() if action.shape and np.issubdtype(action.dtype, np.floating):
+            return Spaces(
+                obs_size=size, action_kind="box", action_sizes=(int(np.prod(action.shape)),)
+            )
+        case spaces.Discrete():
+            return Spaces(obs_size=size, action_kind="discrete", action_sizes=(int(action.n),))
+        case spaces.MultiDiscrete():
+            sizes = tuple(int(n) for n in action.nvec.ravel())
+            return Spaces(obs_size=size, action_kind="discrete", action_sizes=sizes)
+    raise UsageError(
+        f"{name} has action space {action}; supported are Box of floats, Discrete and "
+        "MultiDiscrete"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Adapter:
+    """Between an environment's spaces and flat vectors."""
+
+    observation: spaces.Space[Any]
+    action: spaces.Space[Any]
+
+    @property
+    def action_size(self) -> int:
+        """A: numbers per action."""
+        return int(np.prod(self.action.shape or (1,)))
+
+    def obs(self, observation: Any) -> NDArray[np.float64]:  # noqa: ANN401  any space
+        """[O] flattened observation."""
+        if isinstance(self.observation, spaces.Box):
+            return np.asarray(observation, np.float64).reshape(-1)
+        return np.asarray(spaces.flatten(self.observation, observation), np.float64)
+
+    def to_env(self, action: NDArray[np.float32]) -> Any:  # noqa: ANN401  any space
+        """The environment's action from [A]: clipped at its border, or whole numbers."""
+        match self.action:
+            case spaces.Box() as box:
+                bounded = np.clip(action.reshape(box.shape), box.low, box.high)
+                return bounded.astype(box.dtype, copy=False)
+            case spaces.Discrete() as discrete:
+                return int(discrete.start) + int(action[0])
+            case spaces.MultiDiscrete() as multi:
+                chosen = action.astype(np.int64).reshape(multi.nvec.shape)
+                return (multi.start + chosen).astype(multi.dtype, copy=False)
+        raise AssertionError(f"spaces_of lets no {self.action} through")
+
+
+def exactness(env: Env, wanted: bool) -> Exactness:
+    """How this environment moves from process to process without losing a bit.
+
+    captured: Gymnasium's own MuJoCo environments, whose state MuJoCo can give and take.
+    replayed: any other, from its reset seed and the actions so far.
+    """
+    if not wanted:
+        return "off"
+    wrapper: Any = env
+    while isinstance(wrapper, gymnasium.Wrapper):
+        if not isinstance(wrapper, _TRANSPARENT):
+            return "replayed"
+        wrapper = wrapper.env
+    ours = type(wrapper).__module__.startswith("gymnasium.envs.mujoco.")
+    return "captured" if ours else "replayed"
+
+
+def env_hash(env: Env) -> str:
+    """SHA-256 of the MuJoCo model's XML; empty for other environments."""
+    path = getattr(env.unwrapped, "fullpath", None)
+    if path is None:
+        return ""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+
+
+def quiet() -> None:
+    """Keep Gymnasium's and MuJoCo's remarks out of the output and of the working directory."""
+    gymnasium.logger.min_level = gymnasium.logger.ERROR
+    try:
+        import mujoco  # not every environment needs it
+    except ImportError:
+        return
+    mujoco.set_mju_user_warning(lambda text: logging.getLogger("mujoco").info("%s", text))

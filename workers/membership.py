@@ -1,0 +1,170 @@
+"""A worker's life: find a learner, join it, do what it asks, outlive it.
+
+    connect -> Hello ... Welcome -> Ready -> tasks -> Stop(final) or the learner is lost -> Hello
+"""
+
+import json
+import logging
+import os
+import random
+import socket
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from dppo.config import Config
+from dppo.errors import DppoError, UsageError
+from dppo.wire.links import LearnerLost, Refused, WorkerLink
+from dppo.wire.messages import (
+    Collect,
+    Failure,
+    Hello,
+    Measure,
+    Ready,
+    Restore,
+    Stop,
+    ToWorker,
+    Update,
+    Welcome,
+)
+from workers.envs import env_hash, exactness, make_env, spaces_of
+from workers.episodes import EnvironmentFailedError
+from workers.numerics import fingerprint, versions
+from workers.worker import OutOfStepError, Worker
+
+log = logging.getLogger("worker")
+_FIRST_WAIT, _LONGEST_WAIT = 0.1, 2.0
+_REMARK_SECONDS = 10.0
+
+
+class LearnerAbsentError(DppoError):
+    """No learner answered within the time that the user gave."""
+
+
+@dataclass(slots=True)
+class Backoff:
+    """Growing waits with jitter, so that a thousand workers do not knock in step."""
+
+    wait: float = _FIRST_WAIT
+
+    def next(self) -> float:
+        """Seconds to wait before the next try."""
+        wait = self.wait * random.uniform(0.5, 1.0)  # noqa: S311  no bits depend on it
+        self.wait = min(2 * self.wait, _LONGEST_WAIT)
+        return wait
+
+
+def wait_for(connect: Callable[[], WorkerLink | None], address: str, patience: float) -> WorkerLink:
+    """Try to connect until somebody listens.
+
+    Raises:
+        LearnerAbsentError: nobody did for `patience` seconds.
+    """
+    backoff, begun, remarked = Backoff(), time.monotonic(), 0.0
+    while (link := connect()) is None:
+        waited = time.monotonic() - begun
+        if waited > patience:
+            raise LearnerAbsentError(
+                f"no learner answered at {address} for {patience:g} s; is it running, and is the "
+                "address right?"
+            )
+        if remarked == 0.0 or waited - remarked > _REMARK_SECONDS:
+            log.info("waiting for a learner at %s (%.0f s so far)", address, waited)
+            remarked = max(waited, 0.001)
+        time.sleep(backoff.next())
+    return link
+
+
+class Member:
+    """One worker process on one link."""
+
+    def __init__(self, name: str, link: WorkerLink, patience: float) -> None:
+        self._name, self._link, self._patience = name, link, patience
+        self._worker: Worker | None = None
+
+    def live(self) -> Stop:
+        """Join and work, again and again, until a learner says that the run is over."""
+        while True:
+            welcome = self._join()
+            log.info("joined run %s (generation %d)", welcome.run, welcome.generation)
+            stop = self._serve(welcome)
+            if self._worker is not None:
+                self._worker.close()
+                self._worker = None
+            if stop is not None and stop.final:
+                return stop
+            log.info("%s; waiting for the next learner", stop.reason if stop else "learner lost")
+
+    def _join(self) -> Welcome:
+        """Say Hello until a Welcome comes."""
+        hello = Hello(
+            worker=self._name, host=socket.gethostname(), pid=os.getpid(),
+            numerics=fingerprint(), versions=versions(),
+        )  # fmt: skip
+        backoff, begun = Backoff(), time.monotonic()
+        while True:
+            self._link.send(hello)
+            until = time.monotonic() + max(backoff.next(), _FIRST_WAIT)
+            while (left := until - time.monotonic()) > 0:
+                if isinstance(message := self._link.receive(left), Welcome):
+                    return message
+            if time.monotonic() - begun > self._patience:
+                raise LearnerAbsentError(
+                    f"the learner did not answer worker {self._name} for {self._patience:g} s; "
+                    "look into its log"
+                )
+
+    def _serve(self, welcome: Welcome) -> Stop | None:
+        """Everything between Welcome and the end of this membership; None: the learner is lost."""
+        try:
+            self._prepare(welcome)
+            while True:
+                message = self._link.receive(60.0)
+                match message:
+                    case Restore() | Collect() | Update() | Measure():
+                        assert self._worker is not None
+                        if message.generation == welcome.generation:
+                            self._worker.perform(message)
+                    case Stop():
+                        return message
+                    case LearnerLost():
+                        return None
+                    case Welcome() if message.generation != welcome.generation:
+                        return None
+                    case Refused():
+                        log.warning("ignored a message: %s", message.reason)
+                    case Welcome() | None:
+                        pass
+        except OutOfStepError as error:
+            log.info("%s; joining anew", error)
+            return None
+        except (EnvironmentFailedError, UsageError) as error:
+            self._link.send(
+                Failure(
+                    worker=self._name, generation=welcome.generation,
+                    usage=isinstance(error, UsageError), reason=str(error),
+                )  # fmt: skip
+            )
+            return self._wait_for_stop(str(error))
+
+    def _prepare(self, welcome: Welcome) -> None:
+        """Build the environment once, to see that it works here and how large it is."""
+        config = Config.from_dict(json.loads(welcome.config))
+        env = make_env(config.run)
+        spaces = spaces_of(env)
+        self._worker = Worker(self._name, self._link, spaces, config)
+        ready = Ready(
+            worker=self._name, generation=welcome.generation, obs_size=spaces.obs_size,
+            action_kind=spaces.action_kind, action_sizes=spaces.action_sizes,
+            env_hash=env_hash(env), exact=exactness(env, config.rollout.exact_envs),
+        )  # fmt: skip
+        env.close()
+        self._link.send(ready)
+
+    def _wait_for_stop(self, reason: str) -> Stop | None:
+        """After a failure: the learner decides."""
+        log.error("%s", reason)
+        message: ToWorker | LearnerLost | Refused | None = None
+        while not isinstance(message, Stop | LearnerLost):
+            message = self._link.receive(60.0)
+        return message if isinstance(message, Stop) else None

@@ -1,0 +1,192 @@
+"""The worker: Algorithm 3 of Heess et al. 2017, for every slot this process leases.
+
+    for i in {1, ..., N}:                                              Collect
+        run the policy for T steps; estimate advantages                _collect
+        π_old <- π
+        for m in {1, ..., M}, b in {1, ..., B}:                        Update
+            if KL[π_old|π] > 4 KL_target: no more policy updates       (the chief says so)
+            gradients of J, L_V and L_σ; send; wait for the next θ     _update
+        KL[π_old|π] for the adaptation of β                            _measure
+
+Waiting, joining and dying are in `membership.py`; this file is the algorithm.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dppo.config import Config
+from dppo.distributions import distribution_of
+from dppo.gradients import Minibatch, Sums, slot_gradient, slot_kl
+from dppo.losses import AdvantageStatistics, combine
+from dppo.moments import Moments
+from dppo.networks import Networks
+from dppo.normalizer import Statistics
+from dppo.rollout import Experience, prepare
+from dppo.spaces import Spaces
+from dppo.sums import Block, aligned_blocks, members, tree_sum
+from dppo.wire.links import WorkerLink
+from dppo.wire.messages import Collect, Collected, Gradient, Measure, Measured, Restore, Update
+from workers.slot import Slot
+
+Float32 = NDArray[np.float32]
+
+
+class OutOfStepError(Exception):
+    """The learner asks for a slot whose state this worker does not have: join anew."""
+
+
+@dataclass(slots=True)
+class _Lesson:
+    """What one slot learns from in this iteration."""
+
+    experience: Experience
+    advantage: Float32 | None = None
+    """[N] A, once the moments over all slots are known."""
+
+
+class Worker:
+    """The slots of one process. `perform` answers one message of the learner."""
+
+    def __init__(self, name: str, link: WorkerLink, spaces: Spaces, config: Config) -> None:
+        self._name, self._link, self._config = name, link, config
+        self._networks = Networks.build(spaces, config)
+        self._distribution = distribution_of(spaces)
+        self._slots: dict[int, Slot] = {}
+        self._lessons: dict[int, _Lesson] = {}
+        self._collect_task: Collect | None = None
+
+    def perform(self, task: Restore | Collect | Update | Measure) -> None:
+        """Do what the learner asks, and answer.
+
+        Raises:
+            OutOfStepError: the task needs a state that this worker does not have.
+            EnvironmentFailedError: an environment raised or returned what is not finite.
+        """
+        match task:
+            case Restore():
+                self._restore(task)
+            case Collect():
+                self._collect(task)
+            case Update():
+                self._update(task)
+            case Measure():
+                self._measure(task)
+
+    def close(self) -> None:
+        """Close all environments."""
+        for slot in self._slots.values():
+            slot.close()
+
+    def _restore(self, task: Restore) -> None:
+        self._forget(task.slot)
+        self._slots[task.slot] = Slot.restored(
+            task.slot, self._config, task.iteration, task.snapshot
+        )
+
+    def _collect(self, task: Collect) -> None:
+        """T steps per slot, V, σ, δ, A_V, A_σ and π_old; moments and snapshot to the chief."""
+        before = self._collect_task
+        if before is None or before.iteration != task.iteration:
+            for slot in set(self._slots) - set(task.slots):
+                self._forget(slot)
+        self._collect_task = task
+        statistics = Statistics(
+            Moments.from_vector(task.obs), Moments.from_vector(task.returns),
+            Moments.from_vector(task.sigma_target),
+        )  # fmt: skip
+        for index in task.slots:
+            slot = self._slot(index, task.iteration)
+            rollout, facts = slot.collect(
+                self._networks, self._distribution, task.parameters, statistics
+            )
+            experience, kept, critics = prepare(
+                rollout, slot.replay, self._networks, self._distribution, task.parameters,
+                statistics, task.psi, self._config,
+            )  # fmt: skip
+            slot.replay = kept if self._config.update.critic_replay else None
+            self._lessons[index] = _Lesson(experience)
+            self._link.send(
+                Collected(
+                    worker=self._name, generation=task.generation, iteration=task.iteration,
+                    step=task.step, slot=index, obs=facts.obs.to_vector(),
+                    returns=facts.returns.to_vector(), episodes=facts.episodes,
+                    advantages=critics.advantages.to_vector(), fit=critics.fit.to_vector(),
+                    sigma_target=critics.sigma_target.to_vector(),
+                    start_sigma=critics.start_sigma.to_vector(), snapshot=slot.snapshot(),
+                )  # fmt: skip
+            )
+
+    def _update(self, task: Update) -> None:
+        """The gradient of this update's minibatch, summed over each aligned block of slots."""
+        stopped = set(task.stopped)
+        for block in aligned_blocks(task.slots):
+            vectors: dict[Block, Float32] = {}
+            sums: dict[Block, NDArray[np.float64]] = {}
+            skipping = []
+            for index in members(block):
+                vector, facts = self._gradient(task, index, index in stopped)
+                vectors[index, 1], sums[index, 1] = vector, facts.to_vector()
+                if facts.kl_weight > facts.policy_weight:
+                    skipping.append(index)
+            first, size = block
+            self._link.send(
+                Gradient(
+                    worker=self._name, generation=task.generation, iteration=task.iteration,
+                    step=task.step, first=first, size=size, stopped=tuple(skipping),
+                    vector=tree_sum(vectors, block), sums=tree_sum(sums, block),
+                )  # fmt: skip
+            )
+
+    def _gradient(self, task: Update, index: int, stopped: bool) -> tuple[Float32, Sums]:
+        lesson, collect = self._lesson(index, task.iteration)
+        if lesson.advantage is None:
+            lesson.advantage = combine(
+                lesson.experience.a_v, lesson.experience.a_sigma, collect.psi,
+                AdvantageStatistics(Moments.from_vector(task.advantages)), self._config.safety,
+            )  # fmt: skip
+        stored = len(lesson.experience.critic_obs)
+        minibatch = Minibatch.of(self._config, index, task.iteration, task.step - 1, stored)
+        if stopped:
+            minibatch = Minibatch(policy=None, critics=minibatch.critics)
+        return slot_gradient(
+            self._networks, self._distribution, task.parameters, lesson.experience,
+            lesson.advantage, minibatch, collect.beta, self._config,
+        )  # fmt: skip
+
+    def _measure(self, task: Measure) -> None:
+        """KL[π_old|π] over all of a slot's samples, after the last update."""
+        for index in task.slots:
+            lesson, _ = self._lesson(index, task.iteration)
+            facts = slot_kl(
+                self._networks, self._distribution, task.parameters, lesson.experience
+            )
+            self._link.send(
+                Measured(
+                    worker=self._name, generation=task.generation, iteration=task.iteration,
+                    step=task.step, slot=index, kl=facts.kl, weight=facts.kl_weight,
+                )  # fmt: skip
+            )
+
+    def _slot(self, index: int, iteration: int) -> Slot:
+        """The slot, ready to collect `iteration`."""
+        slot = self._slots.get(index)
+        if slot is None and iteration == 0:
+            slot = self._slots[index] = Slot.fresh(index, self._config)
+        if slot is None or slot.iteration != iteration:
+            raise OutOfStepError(f"slot {index} is not at the start of iteration {iteration}")
+        return slot
+
+    def _lesson(self, index: int, iteration: int) -> tuple[_Lesson, Collect]:
+        """What the slot learns from in `iteration`, and the task that collected it."""
+        collect = self._collect_task
+        if collect is None or collect.iteration != iteration or index not in self._lessons:
+            raise OutOfStepError(f"slot {index} has not collected iteration {iteration}")
+        return self._lessons[index], collect
+
+    def _forget(self, index: int) -> None:
+        slot = self._slots.pop(index, None)
+        if slot is not None:
+            slot.close()
+        self._lessons.pop(index, None)
