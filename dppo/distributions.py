@@ -2,6 +2,7 @@
 network puts out.
 
 Shape letters: N samples · A action size · K output size (A means, or all logits).
+Axes before N (slots side by side) pass through.
 `output` is what the policy network returns, [N, K]; `log_std` is [A], and empty for categorical
 policies. Kullback-Leibler is always KL[π_old‖π], summed over action dimensions, per state.
 """
@@ -42,7 +43,7 @@ class DiagonalGaussian:
         """log π(a|s) [N] of the unclipped action."""
         z = (action - output) * np.exp(-log_std)
         constant = log_std.sum() + np.float32(0.5 * math.log(2 * math.pi) * self.action_size)
-        return np.float32(-0.5) * np.square(z).sum(axis=1) - constant
+        return np.float32(-0.5) * np.square(z).sum(axis=-1) - constant
 
     def log_prob_gradient(self, output: Float32, log_std: Float32, action: Float32) -> Gradient:
         """∂ log π / ∂ mean = z / std,  ∂ log π / ∂ log std = z² − 1."""
@@ -57,7 +58,7 @@ class DiagonalGaussian:
         shift = (old - output) * np.exp(-log_std)
         ratio = np.exp(2 * (old_log_std - log_std))
         per_dimension = log_std - old_log_std + np.float32(0.5) * (shift * shift + ratio - 1)
-        return per_dimension.sum(axis=1)
+        return per_dimension.sum(axis=-1)
 
     def kl_gradient(
         self, old: Float32, old_log_std: Float32, output: Float32, log_std: Float32
@@ -86,23 +87,25 @@ class Categorical:
 
     def mode(self, output: Float32) -> Float32:
         """The most likely actions [N, A], whole numbers."""
-        best = [part.argmax(axis=1) for part in self._parts(output)]
-        return np.stack(best, axis=1).astype(np.float32)
+        best = [part.argmax(axis=-1) for part in self._parts(output)]
+        return np.stack(best, axis=-1).astype(np.float32)
 
     def log_prob(self, output: Float32, log_std: Float32, action: Float32) -> Float32:  # noqa: ARG002
         """log π(a|s) [N], summed over components."""
-        chosen = np.float32(0.0) * output[:, 0]
-        for part, index in zip(self._parts(self._log_softmax(output)), action.T, strict=True):
-            chosen += np.take_along_axis(part, index.astype(np.int64)[:, None], axis=1)[:, 0]
+        chosen = np.zeros(output.shape[:-1], np.float32)
+        for column, part in enumerate(self._parts(self._log_softmax(output))):
+            index = action[..., column, None].astype(np.int64)
+            chosen += np.take_along_axis(part, index, axis=-1)[..., 0]
         return chosen
 
     def log_prob_gradient(self, output: Float32, log_std: Float32, action: Float32) -> Gradient:
         """∂ log π / ∂ logits = onehot(a) − π."""
         gradient = -np.exp(self._log_softmax(output))
-        rows = np.arange(len(output))
-        for start, index in zip(self._starts(), action.T, strict=True):
-            gradient[rows, start + index.astype(np.int64)] += 1
-        return gradient, np.empty((len(output), log_std.size), np.float32)
+        index = np.array(self._starts()) + action.astype(np.int64)
+        np.put_along_axis(
+            gradient, index, np.take_along_axis(gradient, index, axis=-1) + 1, axis=-1
+        )
+        return gradient, np.empty((*output.shape[:-1], log_std.size), np.float32)
 
     def kl(
         self,
@@ -113,7 +116,7 @@ class Categorical:
     ) -> Float32:
         """KL[π_old‖π] = sum of π_old (log π_old − log π) [N]."""
         old_log = self._log_softmax(old)
-        return (np.exp(old_log) * (old_log - self._log_softmax(output))).sum(axis=1)
+        return (np.exp(old_log) * (old_log - self._log_softmax(output))).sum(axis=-1)
 
     def kl_gradient(
         self,
@@ -124,23 +127,23 @@ class Categorical:
     ) -> Gradient:
         """∂KL/∂ logits = π − π_old."""
         gradient = np.exp(self._log_softmax(output)) - np.exp(self._log_softmax(old))
-        return gradient, np.empty((len(output), log_std.size), np.float32)
+        return gradient, np.empty((*output.shape[:-1], log_std.size), np.float32)
 
     def _starts(self) -> list[int]:
         return [sum(self.sizes[:index]) for index in range(len(self.sizes))]
 
     def _parts(self, output: Float32) -> list[Float32]:
         return [
-            output[:, start : start + size]
+            output[..., start : start + size]
             for start, size in zip(self._starts(), self.sizes, strict=True)
         ]
 
     def _log_softmax(self, output: Float32) -> Float32:
         parts = []
         for part in self._parts(output):
-            shifted = part - part.max(axis=1, keepdims=True)
-            parts.append(shifted - np.log(np.exp(shifted).sum(axis=1, keepdims=True)))
-        return np.concatenate(parts, axis=1)
+            shifted = part - part.max(axis=-1, keepdims=True)
+            parts.append(shifted - np.log(np.exp(shifted).sum(axis=-1, keepdims=True)))
+        return np.concatenate(parts, axis=-1)
 
 
 Distribution = DiagonalGaussian | Categorical

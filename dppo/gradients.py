@@ -1,10 +1,15 @@
-"""One slot's gradient of one update: a flat vector and the sums that go with it.
+"""The gradients of one update for several slots side by side: one row of numbers per slot.
 
-Vectors and sums are *sums over samples*, so that adding slots and dividing by the added weights
-gives the mean over all samples, whatever each slot contributed.
+Shape letters: S slots · n rows of a minibatch · O, A, K as in `distributions` · P parameters.
+
+A slot's row never depends on which slots lie beside it: every matrix product is done slot by slot
+(NumPy loops over the first axis), and everything else is element by element. Rows are *sums over
+samples*, so that adding slots and dividing by the added weights gives the mean over all samples.
 """
 
-from dataclasses import astuple, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -12,7 +17,7 @@ from numpy.typing import NDArray
 
 from dppo.config import Config
 from dppo.distributions import Distribution
-from dppo.losses import kl_weight, policy_objective, softplus, softplus_derivative, squared_error
+from dppo.losses import kl_weight, policy_objective, softplus, softplus_derivative
 from dppo.moments import FloatArray
 from dppo.networks import Network, Networks
 from dppo.rollout import Experience
@@ -41,14 +46,10 @@ class Sums:
     variance_loss: float = 0.0
     """Sum of squared errors of σ, in units of the network's output."""
 
-    def to_vector(self) -> FloatArray:
-        """The form that travels."""
-        return np.array(astuple(self))
-
     @classmethod
     def from_vector(cls, vector: FloatArray) -> Self:
-        """The inverse of `to_vector`."""
-        return cls(**dict(zip(cls.__slots__, map(float, vector), strict=True)))
+        """From the form that travels, the fields in order."""
+        return cls(**dict(zip(_COLUMN, map(float, vector), strict=True)))
 
     @property
     def mean_kl(self) -> float:
@@ -56,9 +57,12 @@ class Sums:
         return self.kl / self.kl_weight if self.kl_weight else 0.0
 
 
+_COLUMN = {field.name: index for index, field in enumerate(fields(Sums))}
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Minibatch:
-    """Which samples one update uses; None: that part of the update is over."""
+    """Which of a slot's samples one update uses; None: that part of the update is over."""
 
     policy: Rows | None
     critics: Rows | None
@@ -81,58 +85,69 @@ class Minibatch:
 def _slice(
     config: Config, slot: int, iteration: int, update: int, slices: int, samples: int
 ) -> Rows:
-    if slices == 1:
-        return np.arange(samples)
     epoch, index = divmod(update, slices)
-    order = stream(config.run.seed, "minibatch", slot, iteration, epoch).permutation(samples)
     size = samples // slices
+    order = _order(config.run.seed, slot, iteration, epoch if slices > 1 else -1, samples)
     return order[index * size : (index + 1) * size]
 
 
-def slot_gradient(
-    networks: Networks, distribution: Distribution, parameters: Float32, experience: Experience,
-    advantage: Float32, minibatch: Minibatch, beta: float, config: Config,
-) -> tuple[Float32, Sums]:  # fmt: skip
-    """Gradient of L = −J + L_V + L_σ, times the number of samples, and its sums.
+@lru_cache(maxsize=1024)
+def _order(seed: int, slot: int, iteration: int, epoch: int, samples: int) -> Rows:
+    """Order of one pass over the samples; -1: as they are, for full batches."""
+    if epoch < 0:
+        return np.arange(samples)
+    return stream(seed, "minibatch", slot, iteration, epoch).permutation(samples)
+
+
+def block_gradient(
+    networks: Networks, distribution: Distribution, parameters: Float32,
+    experiences: Sequence[Experience], advantages: Sequence[Float32],
+    minibatches: Sequence[Minibatch], beta: float, config: Config,
+) -> tuple[Float32, FloatArray]:  # fmt: skip
+    """Gradients of L = −J + L_V + L_σ of each slot, times its number of samples, and sums.
 
     Args:
         networks: layout of the vector.
         distribution: of the actions.
         parameters: [P] at this update.
-        experience: the slot's iteration.
-        advantage: [N] A, standardised over all slots.
-        minibatch: rows of this update.
+        experiences: of each slot, from the same parameters.
+        advantages: [N] A of each slot, standardised over all slots of the run.
+        minibatches: of each slot; equally long.
         beta: β.
         config: of the run.
 
     Returns:
-        [P] vector, and sums. A slot whose KL exceeds the stop under `--kl-scope worker` sends a
-        skip token: a zero policy part of weight 0 (Heess et al., Algorithm 3: "break").
+        [S, P] vectors and [S, 7] `Sums`. A slot whose KL exceeds the stop under `--kl-scope
+        worker`, or whose minibatch has no policy rows, has a zero policy part of weight 0: the
+        skip token (Heess et al., Algorithm 3: "break").
     """
-    gradient = np.zeros(networks.size, np.float32)
-    sums = Sums()
-    if minibatch.policy is not None:
-        part = gradient[networks.parts["policy"]]
-        sums = _policy_gradient(
-            networks, distribution, parameters, experience, advantage, minibatch.policy, beta,
-            config, part,
+    vectors = np.zeros((len(experiences), networks.size), np.float32)
+    sums = np.zeros((len(experiences), len(_COLUMN)))
+    active = [index for index, batch in enumerate(minibatches) if batch.policy is not None]
+    if active:
+        part, facts = _policy_gradient(
+            networks, distribution, parameters, [experiences[index] for index in active],
+            [advantages[index] for index in active],
+            [rows for index in active if (rows := minibatches[index].policy) is not None],
+            beta, config,
         )  # fmt: skip
-    if minibatch.critics is None:
-        return gradient, sums
-    rows = minibatch.critics
-    obs = experience.critic_obs[rows]
-    value_loss = _critic_gradient(networks, "value", parameters, obs, experience.v_target[rows],
-                                  False, gradient)  # fmt: skip
-    variance_loss = 0.0
-    if networks.variance is not None:
-        variance_loss = _critic_gradient(
-            networks, "variance", parameters, obs, experience.sigma_target[rows],
-            config.safety.sigma_head == "softplus", gradient,
+        vectors[active, networks.parts["policy"]] = part
+        sums[active] = facts
+    rows = [batch.critics for batch in minibatches if batch.critics is not None]
+    if rows:
+        obs = _gather([e.critic_obs for e in experiences], rows)
+        sums[:, _COLUMN["critic_weight"]] = obs.shape[1]
+        sums[:, _COLUMN["value_loss"]] = _critic_gradient(
+            networks, "value", parameters, obs,
+            _gather([e.v_target for e in experiences], rows), False, vectors,
         )  # fmt: skip
-    return gradient, Sums(
-        policy_weight=sums.policy_weight, critic_weight=float(len(rows)), kl_weight=sums.kl_weight,
-        kl=sums.kl, objective=sums.objective, value_loss=value_loss, variance_loss=variance_loss,
-    )  # fmt: skip
+        if networks.variance is not None:
+            sums[:, _COLUMN["variance_loss"]] = _critic_gradient(
+                networks, "variance", parameters, obs,
+                _gather([e.sigma_target for e in experiences], rows),
+                config.safety.sigma_head == "softplus", vectors,
+            )  # fmt: skip
+    return vectors, sums
 
 
 def slot_kl(
@@ -142,50 +157,74 @@ def slot_kl(
     policy, log_std = networks.split_policy(parameters)
     output, _ = networks.policy.forward(policy, experience.obs)
     kl = distribution.kl(experience.output_old, experience.log_std_old, output, log_std)
-    return Sums(kl=float(kl.sum(dtype=np.float64)), kl_weight=float(len(kl)))
+    return Sums(kl=float(kl.astype(np.float64).sum()), kl_weight=float(len(kl)))
+
+
+def _gather(arrays: Sequence[Float32], rows: Sequence[Rows]) -> Float32:
+    """The chosen rows of each slot, [S, n, ...]."""
+    chosen = np.empty((len(rows), len(rows[0]), *arrays[0].shape[1:]), np.float32)
+    for target, array, index in zip(chosen, arrays, rows, strict=True):
+        np.take(array, index, axis=0, out=target)
+    return chosen
 
 
 def _policy_gradient(
-    networks: Networks, distribution: Distribution, parameters: Float32, experience: Experience,
-    advantage: Float32, rows: Rows, beta: float, config: Config, gradient: Float32,
-) -> Sums:  # fmt: skip
-    """∂(−J)/∂θ = −ratio A ∂log π + (β + hinge) ∂KL, summed over samples, into `gradient`."""
+    networks: Networks, distribution: Distribution, parameters: Float32,
+    experiences: Sequence[Experience], advantages: Sequence[Float32], rows: Sequence[Rows],
+    beta: float, config: Config,
+) -> tuple[Float32, FloatArray]:  # fmt: skip
+    """∂(−J)/∂θ = −ratio A ∂log π + (β + hinge) ∂KL, summed over samples [S, policy's part]."""
     policy, log_std = networks.split_policy(parameters)
-    old, old_log_std = experience.output_old[rows], experience.log_std_old
-    action, a = experience.action[rows], advantage[rows]
-    output, inputs = networks.policy.forward(policy, experience.obs[rows])
+    old_log_std = experiences[0].log_std_old  # the same for all: π_old's parameter
+    old = _gather([e.output_old for e in experiences], rows)
+    action = _gather([e.action for e in experiences], rows)
+    output, inputs = networks.policy.forward(policy, _gather([e.obs for e in experiences], rows))
 
-    kls = distribution.kl(old, old_log_std, output, log_std)
-    total, count = float(kls.sum(dtype=np.float64)), float(len(rows))
-    kl = total / count
-    if config.kl.kl_scope == "worker" and kl > config.kl.kl_stop * config.kl.kl_target:
-        return Sums(kl=total, kl_weight=count)
-
+    kl_sums = distribution.kl(old, old_log_std, output, log_std).astype(np.float64).sum(axis=1)
     log_prob = distribution.log_prob(output, log_std, action)
-    ratio = np.exp(log_prob - experience.log_prob_old[rows])
+    ratio = np.exp(log_prob - _gather([e.log_prob_old for e in experiences], rows))
+    gain = ratio * _gather(advantages, rows)
+    weight, facts = np.empty(len(rows), np.float32), np.zeros((len(rows), len(_COLUMN)))
+    count = output.shape[1]
+    for slot, total in enumerate(kl_sums):
+        kl = float(total) / count
+        weight[slot] = kl_weight(kl, beta, config.kl)
+        skip = config.kl.kl_scope == "worker" and kl > config.kl.kl_stop * config.kl.kl_target
+        objective = 0.0 if skip else policy_objective(gain[slot], kl, beta, config.kl)
+        if skip:
+            gain[slot], weight[slot] = 0.0, 0.0
+        # in the order of Sums: policy weight, critic weight, KL weight, KL, J, losses
+        facts[slot, :5] = (0.0 if skip else count, 0.0, count, total, objective * count)
+
     d_log_prob, d_log_prob_std = distribution.log_prob_gradient(output, log_std, action)
     d_kl, d_kl_std = distribution.kl_gradient(old, old_log_std, output, log_std)
-    gain = (ratio * a)[:, None]
-    weight = np.float32(kl_weight(kl, beta, config.kl))
-    size = networks.policy.size
-    networks.policy.backward(policy, inputs, weight * d_kl - gain * d_log_prob, gradient[:size])
-    np.sum(weight * d_kl_std - gain * d_log_prob_std, axis=0, out=gradient[size:])
-    objective = policy_objective(ratio, a, kl, beta, config.kl)
-    return Sums(policy_weight=count, kl_weight=count, kl=total, objective=objective * count)
+    g, w = gain[..., None], weight[:, None, None]
+    gradient = np.empty((len(rows), networks.policy.size + networks.log_std_size), np.float32)
+    networks.policy.backward(
+        policy, inputs, w * d_kl - g * d_log_prob, gradient[:, : networks.policy.size]
+    )
+    if networks.log_std_size:
+        slope = w * d_kl_std - g * d_log_prob_std
+        gradient[:, networks.policy.size :] = (np.ones((1, count), np.float32) @ slope)[:, 0]
+    return gradient, facts
 
 
 def _critic_gradient(
     networks: Networks, name: Network, parameters: Float32, obs: Float32, target: Float32,
-    positive: bool, gradient: Float32,
-) -> float:  # fmt: skip
-    """∂L/∂parameters of one critic, summed over samples, into `gradient`; L itself."""
+    positive: bool, vectors: Float32,
+) -> FloatArray:  # fmt: skip
+    """∂L/∂parameters of one critic, summed over samples, into its part of `vectors`; L [S].
+
+    L = (target − prediction)², the prediction softplus(output) if it has to be positive.
+    """
     mlp = networks.value if name == "value" else networks.variance
     assert mlp is not None
     part = networks.parts[name]
     output, inputs = mlp.forward(parameters[part], obs)
-    raw = output[:, 0]
-    slope, loss = squared_error(softplus(raw) if positive else raw, target)
+    raw = output[..., 0]
+    error = (softplus(raw) if positive else raw) - target
+    slope = 2 * error
     if positive:
-        slope = slope * softplus_derivative(raw)
-    mlp.backward(parameters[part], inputs, slope[:, None], gradient[part])
-    return loss
+        slope *= softplus_derivative(raw)
+    mlp.backward(parameters[part], inputs, slope[..., None], vectors[:, part])
+    return np.square(error.astype(np.float64)).sum(axis=1)

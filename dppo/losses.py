@@ -17,20 +17,17 @@ from dppo.moments import FloatArray, Moments
 Float32 = NDArray[np.float32]
 
 
-def policy_objective(
-    ratio: Float32, advantage: Float32, kl: float, beta: float, config: KlConfig
-) -> float:
+def policy_objective(gain: Float32, kl: float, beta: float, config: KlConfig) -> float:
     """J of one set of samples (eq. 21).
 
     Args:
-        ratio: [N] π(a|s) / π_old(a|s).
-        advantage: [N] A_V − ψ A_σ.
+        gain: [N] ratio · A, with ratio = π(a|s) / π_old(a|s) and A = A_V − ψ A_σ.
         kl: mean KL[π_old‖π] over the samples [nats].
         beta: β.
         config: KL_target and ξ.
     """
     return float(
-        np.mean(ratio * advantage, dtype=np.float64)
+        np.mean(gain.astype(np.float64))
         - beta * kl
         - config.hinge_coef * max(0.0, kl - 2 * config.kl_target) ** 2
     )
@@ -39,12 +36,6 @@ def policy_objective(
 def kl_weight(kl: float, beta: float, config: KlConfig) -> float:
     """−∂J/∂KL = β + 2 ξ max(0, KL − 2 KL_target)."""
     return beta + 2 * config.hinge_coef * max(0.0, kl - 2 * config.kl_target)
-
-
-def squared_error(prediction: Float32, target: Float32) -> tuple[Float32, float]:
-    """L = (target − prediction)² summed over samples: its derivative [N], and itself."""
-    error = prediction - target
-    return 2 * error, float(np.sum(np.square(error, dtype=np.float64)))
 
 
 def softplus(x: Float32) -> Float32:

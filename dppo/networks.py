@@ -11,6 +11,7 @@ gradient against torch's.
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -38,21 +39,20 @@ class Mlp:
     @property
     def size(self) -> int:
         """Number of parameters."""
-        return sum((a + 1) * b for a, b in zip(self.sizes, self.sizes[1:], strict=False))
+        return sum((a + 1) * b for a, b in pairwise(self.sizes))
 
     def layers(self, vector: Float32) -> list[tuple[Float32, Float32]]:
-        """Views (W, b) of each layer into a flat vector of length `size`."""
+        """Views (W [..., I, O], b [..., O]) of each layer into vectors [..., `size`]."""
         views, start = [], 0
-        for inputs, outputs in zip(self.sizes, self.sizes[1:], strict=False):
-            middle = start + inputs * outputs
-            views.append(
-                (vector[start:middle].reshape(inputs, outputs), vector[middle : middle + outputs])
-            )
-            start = middle + outputs
+        for inputs, outputs in pairwise(self.sizes):
+            middle, stop = start + inputs * outputs, start + (inputs + 1) * outputs
+            weight = vector[..., start:middle].reshape(*vector.shape[:-1], inputs, outputs)
+            views.append((weight, vector[..., middle:stop]))
+            start = stop
         return views
 
     def forward(self, vector: Float32, x: Float32) -> tuple[Float32, list[Float32]]:
-        """Output [N, sizes[-1]], and the input of every layer for `backward`."""
+        """Output [..., N, sizes[-1]] of x [..., N, sizes[0]]; each layer's input for `backward`."""
         inputs = []
         layers = self.layers(vector)
         for weight, bias in layers[:-1]:
@@ -69,15 +69,21 @@ class Mlp:
     def backward(
         self, vector: Float32, inputs: list[Float32], d_output: Float32, gradient: Float32
     ) -> None:
-        """Write ∂L/∂parameters into `gradient` (flat, length `size`), given ∂L/∂output."""
+        """Write ∂L/∂parameters into `gradient` [..., `size`], given ∂L/∂output [..., N, K].
+
+        Sums over N, not over the axes before it.
+        """
         layers, gradients = self.layers(vector), self.layers(gradient)
+        ones = np.ones((1, d_output.shape[-2]), np.float32)
         for index in range(len(layers) - 1, -1, -1):
             x, (d_weight, d_bias) = inputs[index], gradients[index]
-            np.matmul(x.T, d_output, out=d_weight)
-            np.add.reduce(d_output, axis=0, out=d_bias)
+            np.matmul(x.swapaxes(-1, -2), d_output, out=d_weight)
+            np.matmul(ones, d_output, out=d_bias[..., None, :])
             if index > 0:
                 d_output = d_output @ layers[index][0].T
-                d_output *= 1 - x * x  # the derivative of tanh, from its value
+                slope = x * x
+                np.subtract(1, slope, out=slope)  # the derivative of tanh, from its value
+                d_output *= slope
 
     def initial(
         self, rng: np.random.Generator, init: Literal["orthogonal", "fan-in"], last_gain: float

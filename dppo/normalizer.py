@@ -27,7 +27,8 @@ class ObsNormalizer:
     def __call__(self, obs: FloatArray) -> Float32:
         """Normalised observations [..., O] from raw ones."""
         scaled = (obs - self.mean) / self.scale
-        return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+        np.minimum(np.maximum(scaled, -self.clip, out=scaled), self.clip, out=scaled)
+        return scaled.astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)

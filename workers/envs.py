@@ -103,7 +103,7 @@ class Adapter:
         """The environment's action from [A]: clipped at its border, or whole numbers."""
         match self.action:
             case spaces.Box() as box:
-                bounded = np.clip(action.reshape(box.shape), box.low, box.high)
+                bounded = np.minimum(np.maximum(action.reshape(box.shape), box.low), box.high)
                 return bounded.astype(box.dtype, copy=False)
             case spaces.Discrete() as discrete:
                 return int(discrete.start) + int(action[0])

@@ -1,6 +1,7 @@
 """One environment of a slot: its episodes one after the other, and how to move it elsewhere."""
 
 import logging
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -126,7 +127,7 @@ class Episodes:
 
     def _check(self, obs: NDArray[np.float64], reward: float) -> None:
         """One number decides: a sum is finite unless a part of it is not."""
-        if not np.isfinite(obs.sum() + reward):
+        if not math.isfinite(np.add.reduce(obs) + reward):
             what = "reward" if not np.isfinite(reward) else f"observation {obs.tolist()}"
             raise self._failed(f"returned a {what} that is not finite (reward {reward})")
 

@@ -12,20 +12,21 @@ Waiting, joining and dying are in `membership.py`; this file is the algorithm.
 """
 
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dppo.config import Config
 from dppo.distributions import distribution_of
-from dppo.gradients import Minibatch, Sums, slot_gradient, slot_kl
+from dppo.gradients import Minibatch, block_gradient, slot_kl
 from dppo.losses import AdvantageStatistics, combine
 from dppo.moments import Moments
 from dppo.networks import Networks
 from dppo.normalizer import Statistics
 from dppo.rollout import Experience, prepare
 from dppo.spaces import Spaces
-from dppo.sums import Block, aligned_blocks, members, tree_sum
+from dppo.sums import aligned_blocks, members, tree_sum
 from dppo.wire.links import WorkerLink
 from dppo.wire.messages import Collect, Collected, Gradient, Measure, Measured, Restore, Update
 from workers.slot import Slot
@@ -120,39 +121,44 @@ class Worker:
 
     def _update(self, task: Update) -> None:
         """The gradient of this update's minibatch, summed over each aligned block of slots."""
-        stopped = set(task.stopped)
+        vectors, sums = self._gradients(task)
+        row = {index: number for number, index in enumerate(task.slots)}
         for block in aligned_blocks(task.slots):
-            vectors: dict[Block, Float32] = {}
-            sums: dict[Block, NDArray[np.float64]] = {}
-            skipping = []
-            for index in members(block):
-                vector, facts = self._gradient(task, index, index in stopped)
-                vectors[index, 1], sums[index, 1] = vector, facts.to_vector()
-                if facts.kl_weight > facts.policy_weight:
-                    skipping.append(index)
             first, size = block
+            rows = {(index, 1): row[index] for index in members(block)}
+            skips = [sums[number, 2] > sums[number, 0] for number in rows.values()]
             self._link.send(
                 Gradient(
                     worker=self._name, generation=task.generation, iteration=task.iteration,
-                    step=task.step, first=first, size=size, stopped=tuple(skipping),
-                    vector=tree_sum(vectors, block), sums=tree_sum(sums, block),
+                    step=task.step, first=first, size=size,
+                    stopped=tuple(compress(members(block), skips)),
+                    vector=tree_sum({leaf: vectors[number] for leaf, number in rows.items()}, block),
+                    sums=tree_sum({leaf: sums[number] for leaf, number in rows.items()}, block),
                 )  # fmt: skip
             )
 
-    def _gradient(self, task: Update, index: int, stopped: bool) -> tuple[Float32, Sums]:
-        lesson, collect = self._lesson(index, task.iteration)
-        if lesson.advantage is None:
-            lesson.advantage = combine(
-                lesson.experience.a_v, lesson.experience.a_sigma, collect.psi,
-                AdvantageStatistics(Moments.from_vector(task.advantages)), self._config.safety,
-            )  # fmt: skip
-        stored = len(lesson.experience.critic_obs)
-        minibatch = Minibatch.of(self._config, index, task.iteration, task.step - 1, stored)
-        if stopped:
-            minibatch = Minibatch(policy=None, critics=minibatch.critics)
-        return slot_gradient(
-            self._networks, self._distribution, task.parameters, lesson.experience,
-            lesson.advantage, minibatch, collect.beta, self._config,
+    def _gradients(self, task: Update) -> tuple[Float32, NDArray[np.float64]]:
+        """A row per slot of the task."""
+        statistics = AdvantageStatistics(Moments.from_vector(task.advantages))
+        lessons, minibatches = [], []
+        for index in task.slots:
+            lesson, collect = self._lesson(index, task.iteration)
+            if lesson.advantage is None:
+                lesson.advantage = combine(
+                    lesson.experience.a_v, lesson.experience.a_sigma, collect.psi, statistics,
+                    self._config.safety,
+                )  # fmt: skip
+            stored = len(lesson.experience.critic_obs)
+            rows = Minibatch.of(self._config, index, task.iteration, task.step - 1, stored)
+            if index in task.stopped:
+                rows = Minibatch(policy=None, critics=rows.critics)
+            lessons.append(lesson)
+            minibatches.append(rows)
+        return block_gradient(
+            self._networks, self._distribution, task.parameters,
+            [lesson.experience for lesson in lessons],
+            [lesson.advantage for lesson in lessons if lesson.advantage is not None],
+            minibatches, collect.beta, self._config,
         )  # fmt: skip
 
     def _measure(self, task: Measure) -> None:
