@@ -24,9 +24,14 @@ class AdamState:
 
 
 def adam(
-    state: AdamState, gradient: Float32, rate: Float32 | float, *,
-    beta1: float = 0.9, beta2: float = 0.999, eps: float = 1e-8,
-) -> tuple[AdamState, Float32]:  # fmt: skip
+    state: AdamState,
+    gradient: Float32,
+    rate: Float32 | float,
+    *,
+    beta1: float = 0.9,
+    beta2: float = 0.999,
+    eps: float = 1e-8,
+) -> tuple[AdamState, Float32]:
     """One update.
 
     Args:
@@ -44,7 +49,7 @@ def adam(
     unbiased = mean / np.float32(1 - beta1**steps)
     scale = np.sqrt(square / np.float32(1 - beta2**steps)) + np.float32(eps)
     change = -np.asarray(rate, np.float32) * (unbiased / scale)
-    return AdamState(mean, square, steps), change
+    return AdamState(mean, square, steps), change.astype(np.float32, copy=False)
 
 
 def clipped(gradient: Float32, max_norm: float) -> tuple[Float32, float]:

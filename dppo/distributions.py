@@ -33,17 +33,18 @@ class DiagonalGaussian:
 
     def sample(self, output: Float32, log_std: Float32, noise: Float32) -> Float32:
         """Actions [N, A] = mean + std · noise. Unclipped: the environment's border clips."""
-        return output + np.exp(log_std) * noise
+        return np.add(output, np.exp(log_std) * noise, dtype=np.float32)
 
     def mode(self, output: Float32) -> Float32:
         """The most likely actions [N, A]."""
         return output
 
     def log_prob(self, output: Float32, log_std: Float32, action: Float32) -> Float32:
-        """log π(a|s) [N] of the unclipped action."""
+        """Log π(a|s) [N] of the unclipped action."""
         z = (action - output) * np.exp(-log_std)
         constant = log_std.sum() + np.float32(0.5 * math.log(2 * math.pi) * self.action_size)
-        return np.float32(-0.5) * np.square(z).sum(axis=-1) - constant
+        log_prob: Float32 = np.float32(-0.5) * np.square(z).sum(axis=-1) - constant
+        return log_prob
 
     def log_prob_gradient(self, output: Float32, log_std: Float32, action: Float32) -> Gradient:
         """∂ log π / ∂ mean = z / std,  ∂ log π / ∂ log std = z² − 1."""
@@ -51,14 +52,13 @@ class DiagonalGaussian:
         z = (action - output) * inverse
         return z * inverse, z * z - 1
 
-    def kl(
-        self, old: Float32, old_log_std: Float32, output: Float32, log_std: Float32
-    ) -> Float32:
+    def kl(self, old: Float32, old_log_std: Float32, output: Float32, log_std: Float32) -> Float32:
         """KL[π_old‖π] [N]."""
         shift = (old - output) * np.exp(-log_std)
         ratio = np.exp(2 * (old_log_std - log_std))
         per_dimension = log_std - old_log_std + np.float32(0.5) * (shift * shift + ratio - 1)
-        return per_dimension.sum(axis=-1)
+        kl: Float32 = per_dimension.sum(axis=-1)
+        return kl
 
     def kl_gradient(
         self, old: Float32, old_log_std: Float32, output: Float32, log_std: Float32
@@ -91,7 +91,7 @@ class Categorical:
         return np.stack(best, axis=-1).astype(np.float32)
 
     def log_prob(self, output: Float32, log_std: Float32, action: Float32) -> Float32:  # noqa: ARG002
-        """log π(a|s) [N], summed over components."""
+        """Log π(a|s) [N], summed over components."""
         chosen = np.zeros(output.shape[:-1], np.float32)
         for column, part in enumerate(self._parts(self._log_softmax(output))):
             index = action[..., column, None].astype(np.int64)
@@ -116,7 +116,8 @@ class Categorical:
     ) -> Float32:
         """KL[π_old‖π] = sum of π_old (log π_old − log π) [N]."""
         old_log = self._log_softmax(old)
-        return (np.exp(old_log) * (old_log - self._log_softmax(output))).sum(axis=-1)
+        kl: Float32 = (np.exp(old_log) * (old_log - self._log_softmax(output))).sum(axis=-1)
+        return kl
 
     def kl_gradient(
         self,

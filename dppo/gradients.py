@@ -100,10 +100,15 @@ def _order(seed: int, slot: int, iteration: int, epoch: int, samples: int) -> Ro
 
 
 def block_gradient(
-    networks: Networks, distribution: Distribution, parameters: Float32,
-    experiences: Sequence[Experience], advantages: Sequence[Float32],
-    minibatches: Sequence[Minibatch], beta: float, config: Config,
-) -> tuple[Float32, FloatArray]:  # fmt: skip
+    networks: Networks,
+    distribution: Distribution,
+    parameters: Float32,
+    experiences: Sequence[Experience],
+    advantages: Sequence[Float32],
+    minibatches: Sequence[Minibatch],
+    beta: float,
+    config: Config,
+) -> tuple[Float32, FloatArray]:
     """Gradients of L = −J + L_V + L_σ of each slot, times its number of samples, and sums.
 
     Args:
@@ -126,27 +131,40 @@ def block_gradient(
     active = [index for index, batch in enumerate(minibatches) if batch.policy is not None]
     if active:
         part, facts = _policy_gradient(
-            networks, distribution, parameters, [experiences[index] for index in active],
+            networks,
+            distribution,
+            parameters,
+            [experiences[index] for index in active],
             [advantages[index] for index in active],
             [rows for index in active if (rows := minibatches[index].policy) is not None],
-            beta, config,
-        )  # fmt: skip
+            beta,
+            config,
+        )
         vectors[active, networks.parts["policy"]] = part
         sums[active] = facts
-    rows = [batch.critics for batch in minibatches if batch.critics is not None]
-    if rows:
-        obs = _gather([e.critic_obs for e in experiences], rows)
+    fitted = [batch.critics for batch in minibatches if batch.critics is not None]
+    if fitted:
+        obs = _gather([e.critic_obs for e in experiences], fitted)
         sums[:, _COLUMN["critic_weight"]] = obs.shape[1]
         sums[:, _COLUMN["value_loss"]] = _critic_gradient(
-            networks, "value", parameters, obs,
-            _gather([e.v_target for e in experiences], rows), False, vectors,
-        )  # fmt: skip
+            networks,
+            "value",
+            parameters,
+            obs,
+            _gather([e.v_target for e in experiences], fitted),
+            False,
+            vectors,
+        )
         if networks.variance is not None:
             sums[:, _COLUMN["variance_loss"]] = _critic_gradient(
-                networks, "variance", parameters, obs,
-                _gather([e.sigma_target for e in experiences], rows),
-                config.safety.sigma_head == "softplus", vectors,
-            )  # fmt: skip
+                networks,
+                "variance",
+                parameters,
+                obs,
+                _gather([e.sigma_target for e in experiences], fitted),
+                config.safety.sigma_head == "softplus",
+                vectors,
+            )
     return vectors, sums
 
 
@@ -169,10 +187,15 @@ def _gather(arrays: Sequence[Float32], rows: Sequence[Rows]) -> Float32:
 
 
 def _policy_gradient(
-    networks: Networks, distribution: Distribution, parameters: Float32,
-    experiences: Sequence[Experience], advantages: Sequence[Float32], rows: Sequence[Rows],
-    beta: float, config: Config,
-) -> tuple[Float32, FloatArray]:  # fmt: skip
+    networks: Networks,
+    distribution: Distribution,
+    parameters: Float32,
+    experiences: Sequence[Experience],
+    advantages: Sequence[Float32],
+    rows: Sequence[Rows],
+    beta: float,
+    config: Config,
+) -> tuple[Float32, FloatArray]:
     """∂(−J)/∂θ = −ratio A ∂log π + (β + hinge) ∂KL, summed over samples [S, policy's part]."""
     policy, log_std = networks.split_policy(parameters)
     old_log_std = experiences[0].log_std_old  # the same for all: π_old's parameter
@@ -210,9 +233,14 @@ def _policy_gradient(
 
 
 def _critic_gradient(
-    networks: Networks, name: Network, parameters: Float32, obs: Float32, target: Float32,
-    positive: bool, vectors: Float32,
-) -> FloatArray:  # fmt: skip
+    networks: Networks,
+    name: Network,
+    parameters: Float32,
+    obs: Float32,
+    target: Float32,
+    positive: bool,
+    vectors: Float32,
+) -> FloatArray:
     """∂L/∂parameters of one critic, summed over samples, into its part of `vectors`; L [S].
 
     L = (target − prediction)², the prediction softplus(output) if it has to be positive.
@@ -227,4 +255,5 @@ def _critic_gradient(
     if positive:
         slope *= softplus_derivative(raw)
     mlp.backward(parameters[part], inputs, slope[..., None], vectors[:, part])
-    return np.square(error.astype(np.float64)).sum(axis=1)
+    losses: FloatArray = np.square(error.astype(np.float64)).sum(axis=1)
+    return losses

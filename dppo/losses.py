@@ -1,7 +1,7 @@
 """The objective (maximised), the two losses (minimised), and their derivatives.
 
-    J = mean[ratio · A] − β KL[π_old‖π] − ξ max(0, KL − 2 KL_target)²     (Safe Actor-Critic, eq. 21)
-    A = A_V − ψ A_σ
+    J = mean[ratio · A] − β KL[π_old‖π] − ξ max(0, KL − 2 KL_target)²
+    A = A_V − ψ A_σ                                          (Safe Actor-Critic, eq. 21)
 
 The paper sums over t; the mean keeps β and ξ independent of the number of samples.
 """
@@ -40,13 +40,14 @@ def kl_weight(kl: float, beta: float, config: KlConfig) -> float:
 
 def softplus(x: Float32) -> Float32:
     """log(1 + e^x), without overflow."""
-    return np.maximum(x, 0) + np.log1p(np.exp(-np.abs(x)))
+    result: Float32 = np.maximum(x, 0) + np.log1p(np.exp(-np.abs(x)))
+    return result
 
 
 def softplus_derivative(x: Float32) -> Float32:
     """1 / (1 + e^−x), without overflow."""
-    small = np.exp(-np.abs(x))
-    return np.where(x >= 0, 1, small) / (1 + small)
+    small: Float32 = np.exp(-np.abs(x))
+    return np.divide(np.where(x >= 0, 1, small), 1 + small, dtype=np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +73,12 @@ class AdvantageStatistics:
 
 
 def combine(
-    a_v: FloatArray, a_sigma: FloatArray, psi: float, statistics: AdvantageStatistics,
+    a_v: FloatArray,
+    a_sigma: FloatArray,
+    psi: float,
+    statistics: AdvantageStatistics,
     config: SafetyConfig,
-) -> Float32:  # fmt: skip
+) -> Float32:
     """A = A_V − ψ A_σ, standardised over the samples of all slots as `adv_norm` says.
 
     separate: each standardised, their sum not again (what the paper's ψ values mean);

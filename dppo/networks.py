@@ -52,7 +52,7 @@ class Mlp:
         return views
 
     def forward(self, vector: Float32, x: Float32) -> tuple[Float32, list[Float32]]:
-        """Output [..., N, sizes[-1]] of x [..., N, sizes[0]]; each layer's input for `backward`."""
+        """Output [..., N, K] of x [..., N, O]; each layer's input for `backward`."""
         inputs = []
         layers = self.layers(vector)
         for weight, bias in layers[:-1]:
@@ -147,7 +147,7 @@ class Networks:
     @property
     def size(self) -> int:
         """P: parameters of all networks."""
-        return max(part.stop for part in self.parts.values())
+        return max(int(part.stop) for part in self.parts.values())
 
     def split_policy(self, vector: Float32) -> tuple[Float32, Float32]:
         """The policy's part of the run's vector, as (layers, log std)."""

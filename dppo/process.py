@@ -13,7 +13,7 @@ from dppo.errors import DppoError, UsageError
 Args = TypeVar("Args")
 
 
-class Terminated(BaseException):  # noqa: N818  like KeyboardInterrupt, not an error
+class Terminated(BaseException):
     """SIGTERM arrived."""
 
 
@@ -27,18 +27,20 @@ def parse(kind: type[Args], argv: list[str], program: str, default: Args | None 
     """The arguments, or exit code 2 with what is wrong and the nearest flags."""
     import tyro
 
-    return tyro.cli(
-        kind, args=argv, prog=program, default=default,
-        config=(tyro.conf.OmitArgPrefixes,),
-    )  # fmt: skip
+    config = (tyro.conf.OmitArgPrefixes,)
+    if default is None:
+        return tyro.cli(kind, args=argv, prog=program, config=config)
+    return tyro.cli(kind, args=argv, prog=program, config=config, default=default)
 
 
 def start_logging(verbose: bool) -> None:
     """Log lines to stderr: time, who, what."""
     logging.basicConfig(
         level=logging.INFO if verbose else logging.WARNING,
-        format="%(asctime)s %(name)s: %(message)s", datefmt="%H:%M:%S", stream=sys.stderr,
-    )  # fmt: skip
+        format="%(asctime)s %(name)s: %(message)s",
+        datefmt="%H:%M:%S",
+        stream=sys.stderr,
+    )
 
 
 def leave(work: Callable[[], int]) -> NoReturn:
@@ -64,5 +66,5 @@ def leave(work: Callable[[], int]) -> NoReturn:
 
 
 def _say(error: DppoError, code: int) -> int:
-    print(f"error: {error}", file=sys.stderr)  # noqa: T201
+    print(f"error: {error}", file=sys.stderr)
     return code

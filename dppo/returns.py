@@ -70,9 +70,16 @@ class Estimate:
 
 
 def estimate(
-    reward: Values, v: Values, v_next: Values, terminated: Flags, ended: Flags,
-    *, discount: float, trace: float, monte_carlo: bool = False,
-) -> tuple[Values, Estimate]:  # fmt: skip
+    reward: Values,
+    v: Values,
+    v_next: Values,
+    terminated: Flags,
+    ended: Flags,
+    *,
+    discount: float,
+    trace: float,
+    monte_carlo: bool = False,
+) -> tuple[Values, Estimate]:
     """One critic's TD errors, advantage and target; the value and the variance critic alike.
 
     A = sum_l (discount · trace)^l δ_{t+l}  (eq. 20), target = A + v, the λ-return.
@@ -89,17 +96,26 @@ def estimate(
 
 
 def estimate_variance(
-    delta: Values, sigma: Values, sigma_next: Values, terminated: Flags, ended: Flags,
+    delta: Values,
+    sigma: Values,
+    sigma_next: Values,
+    terminated: Flags,
+    ended: Flags,
     config: ReturnsConfig,
-) -> Estimate:  # fmt: skip
+) -> Estimate:
     """A_σ and the target of σ (Safe Actor-Critic, eq. 16, 17, 19).
 
     σ(s) = E[δ² + γ̄ σ(s')] is a value function whose reward is δ² and whose discount is γ̄, so it
     goes through the same estimator; the trace of A_σ is γ̄λ (eq. 17).
     """
     _, estimated = estimate(
-        np.square(delta), sigma, sigma_next, terminated, ended,
-        discount=config.variance_discount, trace=config.gae_lambda,
+        np.square(delta),
+        sigma,
+        sigma_next,
+        terminated,
+        ended,
+        discount=config.variance_discount,
+        trace=config.gae_lambda,
         monte_carlo=config.targets == "monte-carlo",
-    )  # fmt: skip
+    )
     return estimated

@@ -73,9 +73,15 @@ class CriticFacts:
 
 
 def prepare(
-    rollout: Rollout, replay: Replay | None, networks: Networks, distribution: Distribution,
-    parameters: Float32, statistics: Statistics, psi: float, config: Config,
-) -> tuple[Experience, Replay, CriticFacts]:  # fmt: skip
+    rollout: Rollout,
+    replay: Replay | None,
+    networks: Networks,
+    distribution: Distribution,
+    parameters: Float32,
+    statistics: Statistics,
+    psi: float,
+    config: Config,
+) -> tuple[Experience, Replay, CriticFacts]:
     """Advantages, targets and π_old of a rollout, from the parameters that collected it."""
     scale = statistics.reward_scale(config)
     obs = rollout.obs.reshape(-1, rollout.obs.shape[-1])
@@ -95,12 +101,17 @@ def prepare(
         v_target = np.concatenate([v_target, replay.v_target * scale])
         sigma_target = np.concatenate([sigma_target, replay.sigma_target * scale**2])
     experience = Experience(
-        obs=obs, action=action, output_old=output, log_std_old=log_std.copy(),
+        obs=obs,
+        action=action,
+        output_old=output,
+        log_std_old=log_std.copy(),
         log_prob_old=distribution.log_prob(output, log_std, action),
-        a_v=a_v, a_sigma=a_sigma, v_target=v_target.astype(np.float32),
+        a_v=a_v,
+        a_sigma=a_sigma,
+        v_target=v_target.astype(np.float32),
         sigma_target=(sigma_target / statistics.sigma_scale(config)).astype(np.float32),
         critic_obs=critic_obs,
-    )  # fmt: skip
+    )
     raw_sigma = sigma / scale**2
     residual = value[1].target - v
     facts = CriticFacts(
@@ -126,19 +137,28 @@ def _value(
     returns = config.returns
     v, v_next = critic(rollout.obs), critic(rollout.next_obs)
     delta, estimated = estimate(
-        scale * rollout.reward, v, v_next, rollout.terminated, rollout.ended,
-        discount=returns.gamma, trace=returns.gae_lambda,
+        scale * rollout.reward,
+        v,
+        v_next,
+        rollout.terminated,
+        rollout.ended,
+        discount=returns.gamma,
+        trace=returns.gae_lambda,
         monte_carlo=returns.targets == "monte-carlo",
-    )  # fmt: skip
+    )
     if returns.delta_reward == "raw":
         delta = td_errors(rollout.reward, v, v_next, rollout.terminated, returns.gamma)
     return v, (delta, estimated)
 
 
 def _variance(
-    rollout: Rollout, delta: FloatArray, networks: Networks, parameters: Float32,
-    statistics: Statistics, config: Config,
-) -> tuple[FloatArray, Estimate]:  # fmt: skip
+    rollout: Rollout,
+    delta: FloatArray,
+    networks: Networks,
+    parameters: Float32,
+    statistics: Statistics,
+    config: Config,
+) -> tuple[FloatArray, Estimate]:
     """σ(s_t) [T, E]; advantage and target of σ. All zero without a variance critic."""
     mlp = networks.variance
     if mlp is None:

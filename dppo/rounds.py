@@ -47,7 +47,7 @@ class Round(Generic[Answer]):
         self._missing = set(self.slots)
 
     def offer(self, round_id: RoundId, block: Block, answer: Answer) -> Verdict:
-        """Take one answer. A block that repeats any slot is ignored whole: no slot counts twice."""
+        """Take one answer. A block that repeats a slot is ignored whole: none counts twice."""
         if round_id != self.id:
             return "stale"
         if not self._missing.issuperset(members(block)):

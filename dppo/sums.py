@@ -6,12 +6,12 @@ wherever the slots run. Missing slots (dropped gradients) are left out of their 
 """
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-Vector = NDArray[np.floating[Any]]
+Scalar = TypeVar("Scalar", np.float32, np.float64)
 Block = tuple[int, int]
 """(first slot, number of slots), the number a power of two that divides the first."""
 
@@ -37,7 +37,7 @@ def members(block: Block) -> range:
     return range(first, first + size)
 
 
-def tree_sum(parts: Mapping[Block, Vector], block: Block) -> Vector | None:
+def tree_sum(parts: Mapping[Block, NDArray[Scalar]], block: Block) -> NDArray[Scalar] | None:
     """The sum of a block from sums of blocks inside it; None if it has none.
 
     Args:
@@ -54,6 +54,14 @@ def tree_sum(parts: Mapping[Block, Vector], block: Block) -> Vector | None:
     if left is None or right is None:
         return right if left is None else left
     return left + right
+
+
+def block_sum(parts: Mapping[Block, NDArray[Scalar]], block: Block) -> NDArray[Scalar]:
+    """The sum of a block of which every slot is there."""
+    total = tree_sum(parts, block)
+    if total is None:
+        raise ValueError(f"no part of block {block} is among {sorted(parts)}")
+    return total
 
 
 def whole(num_slots: int) -> Block:

@@ -100,13 +100,13 @@ def _train(config: Config, args: ProcessArgs) -> int:
     from learner.signals import StopSignals, log_to_file
 
     address = listening_address(args.listen, args.insecure)
+    link = ZenohLearnerLink(address)
     path = Path(args.run_dir) if args.run_dir else default_path(config, args.name)
     folder = RunDirectory.open(path)
     _check_resume(folder.has_run, path, args.resume)
     folder.check_config(config)
     log_to_file(path / "log.txt")
     signals = StopSignals()
-    link = ZenohLearnerLink(address)
     count = args.local_workers
     if count < 0:
         count = min(usable_cores(), config.rollout.slots)
@@ -126,6 +126,7 @@ def _train(config: Config, args: ProcessArgs) -> int:
     finally:
         workers.end()
         link.close()
+        folder.discard_unused()
 
 
 def _run(session: "Session", signals: "StopSignals", folder: "RunDirectory", stop_at: int) -> int:

@@ -1,4 +1,4 @@
-"""The command line before it is parsed: habits of other tools, presets, config files, addresses."""
+"""The command line before it is parsed: other tools' habits, presets, files, addresses."""
 
 import ipaddress
 from collections.abc import Collection, Mapping

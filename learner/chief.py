@@ -33,7 +33,7 @@ from dppo.schedules import (
     learning_rate_factor,
     scheduled_psi,
 )
-from dppo.sums import tree_sum, whole
+from dppo.sums import block_sum, whole
 from dppo.wire.messages import Answer, Collect, Collected, Gradient, Measure, Measured, Update
 from learner.exchange import Exchange
 from learner.report import DroppedGradients, IterationReport, Training, summarise
@@ -46,9 +46,14 @@ class Chief:
     """The only one that changes parameters."""
 
     def __init__(
-        self, state: State, networks: Networks, config: Config, generation: int,
-        exchange: Exchange, ledger: Callable[[DroppedGradients], None],
-    ) -> None:  # fmt: skip
+        self,
+        state: State,
+        networks: Networks,
+        config: Config,
+        generation: int,
+        exchange: Exchange,
+        ledger: Callable[[DroppedGradients], None],
+    ) -> None:
         self.state = state
         self._networks, self._config, self._generation = networks, config, generation
         self._exchange, self._ledger = exchange, ledger
@@ -65,21 +70,28 @@ class Chief:
         for update in range(updates):
             gradients = self._exchange.gather(
                 Update(
-                    generation=self._generation, iteration=before.iteration, step=1 + update,
-                    slots=self._slots, stopped=tuple(sorted(stopped)),
-                    parameters=self._parameters, advantages=advantages.to_vector(),
+                    generation=self._generation,
+                    iteration=before.iteration,
+                    step=1 + update,
+                    slots=self._slots,
+                    stopped=tuple(sorted(stopped)),
+                    parameters=self._parameters,
+                    advantages=advantages.to_vector(),
                 ),
                 quorum=self._config.rollout.quorum,
-            )  # fmt: skip
+            )
             self._note_dropped(gradients, training)
             stopped |= self._apply(gradients, training)
         measured = self._exchange.gather(
             Measure(
-                generation=self._generation, iteration=before.iteration, step=1 + updates,
-                slots=self._slots, parameters=self._parameters,
+                generation=self._generation,
+                iteration=before.iteration,
+                step=1 + updates,
+                slots=self._slots,
+                parameters=self._parameters,
             ),
             quorum=self._config.rollout.quorum,
-        )  # fmt: skip
+        )
         self._adapt(measured, collected, training)
         return summarise(
             before, self.state, collected, training, self._config, self._exchange.num_workers
@@ -99,11 +111,17 @@ class Chief:
         """Every slot runs T steps; all of them must be in, whatever D is. In slot order."""
         state = self.state
         collect = Collect(
-            generation=self._generation, iteration=state.iteration, step=0, slots=self._slots,
-            psi=psi, beta=state.beta, parameters=state.parameters,
-            obs=state.statistics.obs.to_vector(), returns=state.statistics.returns.to_vector(),
+            generation=self._generation,
+            iteration=state.iteration,
+            step=0,
+            slots=self._slots,
+            psi=psi,
+            beta=state.beta,
+            parameters=state.parameters,
+            obs=state.statistics.obs.to_vector(),
+            returns=state.statistics.returns.to_vector(),
             sigma_target=state.statistics.sigma_target.to_vector(),
-        )  # fmt: skip
+        )
         self._parameters = state.parameters
         self._exchange.begin_iteration(collect, state.snapshots)
         answers = self._exchange.gather(collect, quorum=self._config.rollout.slots).answers
@@ -113,10 +131,8 @@ class Chief:
         """Average the accepted gradients, clip, one Adam step per network; slots that stop."""
         answers = cast("dict[tuple[int, int], Gradient]", gradients.answers)
         root = whole(self._config.rollout.slots)
-        vector = tree_sum({block: answer.vector for block, answer in answers.items()}, root)
-        total = tree_sum({block: answer.sums for block, answer in answers.items()}, root)
-        assert vector is not None
-        assert total is not None
+        vector = block_sum({block: answer.vector for block, answer in answers.items()}, root)
+        total = block_sum({block: answer.sums for block, answer in answers.items()}, root)
         sums = Sums.from_vector(total)
         stop = self._stops(sums)
         training.note(sums, stop)
@@ -144,9 +160,7 @@ class Chief:
             if name == "policy":
                 rate = self._policy_rates(factor * state.servo * settings.learning_rate)
             mean, norm = clipped(vector[part] / np.float32(weight), settings.max_grad_norm)
-            optimizers[name], change = adam(
-                optimizers[name], mean, rate, eps=settings.adam_eps
-            )
+            optimizers[name], change = adam(optimizers[name], mean, rate, eps=settings.adam_eps)
             parameters[part] += change
             training.note_norm(name, norm)
         self._parameters = parameters
@@ -189,11 +203,15 @@ class Chief:
         episodes = [answer.episodes.reshape(-1, 2) for answer in collected]
         self.state = replace(
             state.with_episodes(np.concatenate(episodes)),
-            iteration=state.iteration + 1, parameters=self._parameters, statistics=statistics,
-            beta=beta, psi=psi, servo=servo,
+            iteration=state.iteration + 1,
+            parameters=self._parameters,
+            statistics=statistics,
+            beta=beta,
+            psi=psi,
+            servo=servo,
             dropped_gradients=state.dropped_gradients + training.dropped,
             snapshots={answer.slot: answer.snapshot for answer in collected},
-        )  # fmt: skip
+        )
 
     def _note_dropped(self, gradients: Round[Answer], training: Training) -> None:
         """The ledger: which slots this update went on without."""
@@ -201,9 +219,10 @@ class Chief:
             training.dropped += len(gradients.missing)
             self._ledger(
                 DroppedGradients(
-                    iteration=gradients.id.iteration, update=gradients.id.step - 1,
+                    iteration=gradients.id.iteration,
+                    update=gradients.id.step - 1,
                     dropped=gradients.missing,
-                )  # fmt: skip
+                )
             )
 
 
@@ -217,6 +236,7 @@ def _merged(vectors: list[NDArray[np.float64]]) -> Moments:
 
 def _statistics(answer: Collected) -> Statistics:
     return Statistics(
-        Moments.from_vector(answer.obs), Moments.from_vector(answer.returns),
+        Moments.from_vector(answer.obs),
+        Moments.from_vector(answer.returns),
         Moments.from_vector(answer.sigma_target),
-    )  # fmt: skip
+    )

@@ -27,7 +27,7 @@ class Console:
         if self._bar is not None:
             self._bar.console.print(text, highlight=False)
         else:
-            print(text, flush=True)  # noqa: T201
+            print(text, flush=True)
 
     def show(self, report: IterationReport, speed: float) -> None:
         """The newest iteration; `speed` in environment steps per second."""
@@ -54,9 +54,11 @@ class Console:
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
         self._bar = Progress(
-            BarColumn(bar_width=24), TextColumn("{task.percentage:5.1f} %"),
-            TimeRemainingColumn(), TextColumn("{task.fields[figures]}"),
-        )  # fmt: skip
+            BarColumn(bar_width=24),
+            TextColumn("{task.percentage:5.1f} %"),
+            TimeRemainingColumn(),
+            TextColumn("{task.fields[figures]}"),
+        )
         self._task = self._bar.add_task("train", total=self._total, figures="starting")
         self._bar.update(self._task, completed=done_steps)
         self._bar.start()
@@ -69,8 +71,9 @@ def _line(report: IterationReport, speed: float) -> str:
     if "rollout/ep_rew_mean" in metrics:
         mean, spread = metrics["rollout/ep_rew_mean"], metrics["safety/return_std"]
         score = f"return {mean:8.1f} ± {spread:<6.1f}"
+    kl, beta = metrics["train/kl"], metrics["train/kl_coef"]
     return (
-        f"{speed:7,.0f}/s  {score}  KL {metrics['train/kl']:.4f}  β {metrics['train/kl_coef']:5.2f}"
+        f"{speed:7,.0f}/s  {score}  KL {kl:.4f}  β {beta:5.2f}"
         f"  σ {metrics['safety/sigma_mean']:.3g}  ψ {metrics['safety/psi']:g}"
         f"  workers {metrics['cluster/workers']:.0f}"
     )

@@ -1,8 +1,8 @@
 """Asks all slots something and gathers the answers, whoever holds them, whatever dies meanwhile.
 
-The rules are in `dppo.rounds` and `dppo.leases`; this file feeds them with what arrives and carries
-out what they say. A worker that is lost costs one redo of its slots: their heirs restore the slots'
-environments, collect the iteration again, and join at the present question.
+The rules are in `dppo.rounds` and `dppo.leases`; this file feeds them with what arrives and
+carries out what they say. A worker that is lost costs one redo of its slots: their heirs restore
+the slots' environments, collect the iteration again, and join at the present question.
 """
 
 import logging
@@ -31,6 +31,7 @@ from dppo.wire.messages import (
     Task,
     Welcome,
 )
+from learner.roster import Roster, spaces_in
 
 log = logging.getLogger("learner")
 _TICK = 0.25
@@ -51,21 +52,22 @@ class Exchange:
     """The learner's side of every round."""
 
     def __init__(
-        self, link: LearnerLink, welcome: Welcome, leases: Leases, look_after: Callable[[], None],
+        self,
+        link: LearnerLink,
+        welcome: Welcome,
+        leases: Leases,
+        look_after: Callable[[], None],
         parameter_count: Callable[[], int],
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`look_after` is called in every pause; it may raise to end the run."""
         self._link, self._welcome, self._leases = link, welcome, leases
         self._look_after, self._parameter_count = look_after, parameter_count
-        self._hellos: dict[str, Hello] = {}
-        self._first_numerics = ""
+        self.roster = Roster()
         self._busy: dict[str, _Busy] = {}
         self._collect: Collect | None = None
         self._snapshots: dict[int, bytes] = {}
         self._task: Task | None = None
         self._round: Round[Answer] | None = None
-        self.ready: Ready | None = None
-        """The first worker's report of the environment."""
 
     @property
     def num_workers(self) -> int:
@@ -75,12 +77,12 @@ class Exchange:
     def wait_for_environment(self) -> Spaces:
         """Wait until a worker has built the environment; its sizes."""
         begun = remarked = time.monotonic()
-        while self.ready is None:
+        while self.roster.first is None:
             self._handle(_TICK)
             if time.monotonic() - remarked > _REMARK_SECONDS:
                 remarked = time.monotonic()
                 log.warning("waiting for a first worker, for %.0f s", remarked - begun)
-        return _spaces(self.ready)
+        return spaces_in(self.roster.first)
 
     def begin_iteration(self, collect: Collect, snapshots: dict[int, bytes]) -> None:
         """Spread the slots anew; remember what a lost slot has to be started from."""
@@ -109,7 +111,7 @@ class Exchange:
 
     def stop(self, reason: str, final: bool) -> None:
         """Tell every worker that the run is over, or that this learner pauses."""
-        for worker in self._hellos:
+        for worker in self.roster:
             self._link.send(worker, Stop(reason=reason, final=final))
 
     # events
@@ -137,38 +139,23 @@ class Exchange:
     def _greet(self, hello: Hello) -> None:
         if hello.worker in self._leases.workers:
             self._lose(hello.worker, "it joins anew")
-        numerics = f"{hello.numerics}, {hello.versions}"
-        self._first_numerics = self._first_numerics or numerics
-        if numerics != self._first_numerics:
-            log.warning(
-                "worker %s on %s computes with (%s), the first worker with (%s): the same bits as "
-                "on one kind of machine are not to be expected",
-                hello.worker, hello.host, numerics, self._first_numerics,
-            )  # fmt: skip
-        self._hellos[hello.worker] = hello
+        self.roster.greet(hello)
         self._link.send(hello.worker, self._welcome)
 
     def _admit(self, ready: Ready) -> None:
-        if ready.worker not in self._hellos or ready.generation != self._welcome.generation:
+        if ready.worker not in self.roster or ready.generation != self._welcome.generation:
             return
-        first = self.ready
-        if first is not None and replace(ready, worker=first.worker) != first:
-            self._expel(
-                ready.worker,
-                f"worker {ready.worker} has another environment than {first.worker}: "
-                f"{_spaces(ready)}, XML {ready.env_hash[:8]} {ready.exact}; expected "
-                f"{_spaces(first)}, XML {first.env_hash[:8]} {first.exact}; install the same "
-                "versions of gymnasium and mujoco",
-            )
+        objection = self.roster.admit(ready)
+        if objection:
+            self._expel(ready.worker, objection)
             return
-        self.ready = first or ready
         taken = self._leases.join(ready.worker)
         log.info("worker %s joined, %d in the run", ready.worker, self.num_workers)
         if self._round is not None:
             self._ask(ready.worker, taken)
 
     def _lose(self, worker: str, why: str) -> None:
-        self._hellos.pop(worker, None)
+        self.roster.forget(worker)
         self._busy.pop(worker, None)
         if worker not in self._leases.workers:
             return
@@ -185,14 +172,11 @@ class Exchange:
 
     def _fail(self, failure: Failure) -> None:
         """An environment failed: the same would happen on every other worker."""
-        where = self._hellos.get(failure.worker)
-        if failure.usage and self.ready is None:
+        if not failure.usage:
+            raise RunFailedError(f"{failure.reason}; {self.roster.describe(failure.worker)}")
+        if self.roster.first is None:
             raise UsageError(failure.reason)
-        if failure.usage:
-            self._expel(failure.worker, f"worker {failure.worker}: {failure.reason}")
-            return
-        host = where.host if where else "unknown host"
-        raise RunFailedError(f"{failure.reason}; worker {failure.worker} on {host}")
+        self._expel(failure.worker, f"{self.roster.describe(failure.worker)}: {failure.reason}")
 
     # questions and answers
 
@@ -211,10 +195,12 @@ class Exchange:
                 self._link.send(
                     worker,
                     Restore(
-                        generation=self._welcome.generation, iteration=self._collect.iteration,
-                        slot=slot, snapshot=self._snapshots[slot],
+                        generation=self._welcome.generation,
+                        iteration=self._collect.iteration,
+                        slot=slot,
+                        snapshot=self._snapshots[slot],
                     ),
-                )  # fmt: skip
+                )
         if lacking and not isinstance(self._task, Collect):
             self._link.send(worker, replace(self._collect, slots=lacking))
         self._link.send(worker, replace(self._task, slots=wanted))
@@ -224,7 +210,7 @@ class Exchange:
     def _take(self, answer: Answer) -> None:
         first, size = _block(answer)
         aligned = size > 0 and size & (size - 1) == 0 and first % size == 0
-        if not aligned or answer.worker not in self._hellos:
+        if not aligned or answer.worker not in self.roster:
             return
         round_id = RoundId(answer.generation, answer.iteration, answer.step)
         self._settle(answer, round_id, range(first, first + min(size, self._leases.num_slots)))
@@ -238,10 +224,8 @@ class Exchange:
 
     def _settle(self, answer: Answer, round_id: RoundId, slots: range) -> None:
         """Note what the answer says about its sender, whether or not it still counts."""
-        collect = self._collect
-        if isinstance(answer, Collected) and collect is not None:
-            if (answer.generation, answer.iteration) == (collect.generation, collect.iteration):
-                self._leases.mark_current(answer.slot, answer.worker)
+        if isinstance(answer, Collected) and self._is_present(answer):
+            self._leases.mark_current(answer.slot, answer.worker)
         busy = self._busy.get(answer.worker)
         if busy is None or busy.id != round_id:
             return
@@ -250,6 +234,15 @@ class Exchange:
         if late and not busy.slots and answer.worker in self._leases.workers:
             del self._busy[answer.worker]
             self._ask(answer.worker, self._leases.slots_of(answer.worker))
+
+    def _is_present(self, answer: Collected) -> bool:
+        """Was it collected in the present iteration?"""
+        collect = self._collect
+        return (
+            collect is not None
+            and answer.generation == collect.generation
+            and answer.iteration == collect.iteration
+        )
 
     def _sound(self, answer: Answer) -> bool:
         """Shapes as the config says, numbers finite; a worker that breaks either is dealt with."""
@@ -264,12 +257,11 @@ class Exchange:
             )
             return False
         if not np.isfinite(answer.vector.sum(dtype=np.float64) + answer.sums.sum()):
-            host = self._hellos[answer.worker].host
             raise RunFailedError(
-                f"slots {answer.first} to {answer.first + answer.size - 1} on worker "
-                f"{answer.worker} ({host}) sent a gradient that is not finite, iteration "
-                f"{answer.iteration}, update {answer.step - 1}; lower --learning-rate or look at "
-                "the rewards' scale"
+                f"slots {answer.first} to {answer.first + answer.size - 1} on "
+                f"{self.roster.describe(answer.worker)} sent a gradient that is not finite, "
+                f"iteration {answer.iteration}, update {answer.step - 1}; lower "
+                "--learning-rate or look at the rewards' scale"
             )
         return True
 
@@ -288,11 +280,3 @@ class Exchange:
 
 def _block(answer: Answer) -> tuple[int, int]:
     return (answer.first, answer.size) if isinstance(answer, Gradient) else (answer.slot, 1)
-
-
-def _spaces(ready: Ready) -> Spaces:
-    return Spaces(
-        obs_size=ready.obs_size,
-        action_kind="box" if ready.action_kind == "box" else "discrete",
-        action_sizes=ready.action_sizes,
-    )

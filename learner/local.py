@@ -96,10 +96,15 @@ class LocalWorkers:
     def _spawn(self, index: int, restart: int) -> _Child:
         name = f"local-{index}" + (f"-{restart}" if restart else "")
         command = [
-            sys.executable, "-m", "workers", "--end-with-stdin", "--connect", self.address,
-            "--name", name, *(["--verbose"] if self.verbose else []),
-        ]  # fmt: skip
-        process = subprocess.Popen(  # noqa: S603  our own module
-            command, stdin=subprocess.PIPE, start_new_session=True
-        )
+            sys.executable,
+            "-m",
+            "workers",
+            "--end-with-stdin",
+            "--connect",
+            self.address,
+            "--name",
+            name,
+            "--verbose" if self.verbose else "--no-verbose",
+        ]
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
         return _Child(process, time.monotonic())

@@ -2,12 +2,11 @@
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from dppo.config import Config
 from dppo.gradients import Sums
 from dppo.moments import Moments
 from dppo.networks import Network
+from dppo.statistics import cvar
 from dppo.wire.messages import Collected
 from learner.state import State
 
@@ -63,16 +62,14 @@ class IterationReport:
     """Name (as SB3 and CleanRL call it) to value."""
 
 
-def cvar(returns: np.ndarray[tuple[int], np.dtype[np.float64]], fraction: float = 0.1) -> float:
-    """Mean of the worst `fraction` of the returns, of at least one."""
-    worst = np.sort(returns)[: max(1, int(np.ceil(fraction * len(returns))))]
-    return float(worst.mean())
-
-
 def summarise(
-    before: State, after: State, collected: list[Collected], training: Training, config: Config,
+    before: State,
+    after: State,
+    collected: list[Collected],
+    training: Training,
+    config: Config,
     num_workers: int,
-) -> IterationReport:  # fmt: skip
+) -> IterationReport:
     """The report of the iteration between two states."""
     fit = Moments.from_vector(collected[0].fit)
     for answer in collected[1:]:
@@ -105,6 +102,7 @@ def summarise(
             "safety/cvar10": cvar(returns),
         }
     return IterationReport(
-        iteration=after.iteration, env_steps=after.iteration * config.rollout.samples,
+        iteration=after.iteration,
+        env_steps=after.iteration * config.rollout.samples,
         metrics=metrics,
-    )  # fmt: skip
+    )

@@ -13,7 +13,7 @@ import numpy as np
 from dppo.config import Config
 from dppo.leases import Leases
 from dppo.networks import Networks
-from dppo.spaces import Spaces
+from dppo.statistics import cvar
 from dppo.store.checkpoint import (
     mark_best,
     name_of,
@@ -28,7 +28,7 @@ from dppo.wire.messages import Welcome
 from learner.chief import Chief
 from learner.console import Console
 from learner.exchange import Exchange
-from learner.report import IterationReport, cvar
+from learner.report import IterationReport
 from learner.runlog import RunLog
 from learner.state import State
 
@@ -40,9 +40,14 @@ class Session:
     """A run on one link: trains, checkpoints, reports."""
 
     def __init__(
-        self, config: Config, folder: RunDirectory, link: LearnerLink,
-        look_after: Callable[[], None], checkpoint_every: int, keep: int,
-    ) -> None:  # fmt: skip
+        self,
+        config: Config,
+        folder: RunDirectory,
+        link: LearnerLink,
+        look_after: Callable[[], None],
+        checkpoint_every: int,
+        keep: int,
+    ) -> None:
         self._config, self._folder = config, folder
         self._every, self._keep = checkpoint_every, keep
         self.generation = folder.next_generation()
@@ -66,7 +71,7 @@ class Session:
         self._parameter_count = networks.size
         if checkpoint is None:
             self.state = State.initial(networks, spaces.obs_size, self._config)
-            self._write_config(spaces, networks)
+            self._write_config(networks)
         else:
             self.state = State.from_checkpoint(checkpoint)
             self._saved = self.state.iteration
@@ -94,9 +99,7 @@ class Session:
         self._exchange.stop("the learner was stopped", final=False)
         return None if self.state is None else self._result("stopped")
 
-    def _iterate(
-        self, networks: Networks, runlog: RunLog, console: Console, stop_at: int
-    ) -> None:
+    def _iterate(self, networks: Networks, runlog: RunLog, console: Console, stop_at: int) -> None:
         assert self.state is not None
         chief = Chief(
             self.state, networks, self._config, self.generation, self._exchange, runlog.dropped
@@ -146,7 +149,7 @@ class Session:
         prune(folder, self._keep)
 
     def _spaces(self) -> dict[str, object]:
-        ready = self._exchange.ready
+        ready = self._exchange.roster.first
         assert ready is not None
         return {
             "obs_size": ready.obs_size,
@@ -154,8 +157,8 @@ class Session:
             "action_sizes": list(ready.action_sizes),
         }
 
-    def _write_config(self, spaces: Spaces, networks: Networks) -> None:
-        ready = self._exchange.ready
+    def _write_config(self, networks: Networks) -> None:
+        ready = self._exchange.roster.first
         assert ready is not None
         self._folder.write_json(
             "config.json",
@@ -163,13 +166,15 @@ class Session:
                 "config": self._config.to_dict(),
                 "versions": {name: version(name) for name in _VERSIONS},
                 "environment": {
-                    **self._spaces(), "model_xml_sha256": ready.env_hash, "moves_by": ready.exact,
+                    **self._spaces(),
+                    "model_xml_sha256": ready.env_hash,
+                    "moves_by": ready.exact,
                     "exact": ready.exact != "off",
                 },
                 "parameters": networks.size,
                 "iterations": self._config.iterations,
             },
-        )  # fmt: skip
+        )
 
     def _result(self, status: str) -> dict[str, object]:
         assert self.state is not None

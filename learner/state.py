@@ -89,10 +89,11 @@ class State:
             "servo": self.servo,
             "finished_episodes": self.finished_episodes,
             "dropped_gradients": self.dropped_gradients,
-            "best_mean": json.loads(json.dumps(self.best_mean)) if self.best_mean > -np.inf
+            "best_mean": json.loads(json.dumps(self.best_mean))
+            if self.best_mean > -np.inf
             else None,
             "adam_steps": {name: adam.steps for name, adam in self.optimizers.items()},
-        }  # fmt: skip
+        }
         return Checkpoint(arrays, {"state": own, **facts})
 
     @classmethod

@@ -20,8 +20,8 @@ class WorkerArgs:
     """Name in logs: letters, digits, '-'; empty: host and a random part."""
     wait_seconds: float = float("inf")
     """Give up when no learner answers for so long [s]."""
-    verbose: bool = False
-    """Log more."""
+    verbose: bool = True
+    """Log joining, waiting and losing the learner."""
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -62,7 +62,7 @@ def _work(args: WorkerArgs) -> int:
         stop = Member(name, link, args.wait_seconds).live()
     except LearnerAbsentError as error:
         raise UsageError(str(error)) from error
-    print(f"worker {name}: {stop.reason}", file=sys.stderr)  # noqa: T201
+    print(f"worker {name}: {stop.reason}", file=sys.stderr)
     link.close()
     return 0
 

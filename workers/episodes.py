@@ -113,8 +113,10 @@ class Episodes:
             log.warning(
                 "slot %d, environment %d: replaying %d actions ended in another observation; the "
                 "environment is not deterministic, so this run is no longer exact",
-                self.slot, self.index, len(actions),
-            )  # fmt: skip
+                self.slot,
+                self.index,
+                len(actions),
+            )
 
     def _reset(self) -> None:
         seed = reset_seed(self.seed, self.slot, self.index, self.episode)

@@ -1,6 +1,6 @@
 """A worker's life: find a learner, join it, do what it asks, outlive it.
 
-    connect -> Hello ... Welcome -> Ready -> tasks -> Stop(final) or the learner is lost -> Hello
+connect -> Hello ... Welcome -> Ready -> tasks -> Stop(final) or the learner is lost -> Hello
 """
 
 import json
@@ -49,12 +49,14 @@ class Backoff:
 
     def next(self) -> float:
         """Seconds to wait before the next try."""
-        wait = self.wait * random.uniform(0.5, 1.0)  # noqa: S311  no bits depend on it
+        wait = self.wait * random.uniform(0.5, 1.0)
         self.wait = min(2 * self.wait, _LONGEST_WAIT)
         return wait
 
 
-def wait_for(connect: Callable[[], WorkerLink | None], address: str, patience: float) -> WorkerLink:
+def wait_for(
+    connect: Callable[[], WorkerLink | None], address: str, patience: float
+) -> WorkerLink:
     """Try to connect until somebody listens.
 
     Raises:
@@ -98,9 +100,12 @@ class Member:
     def _join(self) -> Welcome:
         """Say Hello until a Welcome comes."""
         hello = Hello(
-            worker=self._name, host=socket.gethostname(), pid=os.getpid(),
-            numerics=fingerprint(), versions=versions(),
-        )  # fmt: skip
+            worker=self._name,
+            host=socket.gethostname(),
+            pid=os.getpid(),
+            numerics=fingerprint(),
+            versions=versions(),
+        )
         backoff, begun = Backoff(), time.monotonic()
         while True:
             self._link.send(hello)
@@ -115,55 +120,56 @@ class Member:
                 )
 
     def _serve(self, welcome: Welcome) -> Stop | None:
-        """Everything between Welcome and the end of this membership; None: the learner is lost."""
+        """Everything from Welcome to the end of this membership; None: the learner is lost."""
         try:
-            self._prepare(welcome)
+            worker = self._prepare(welcome)
             while True:
                 message = self._link.receive(60.0)
                 match message:
                     case Restore() | Collect() | Update() | Measure():
-                        assert self._worker is not None
                         if message.generation == welcome.generation:
-                            self._worker.perform(message)
+                            worker.perform(message)
                     case Stop():
                         return message
                     case LearnerLost():
                         return None
-                    case Welcome() if message.generation != welcome.generation:
-                        return None
                     case Refused():
                         log.warning("ignored a message: %s", message.reason)
-                    case Welcome() | None:
-                        pass
         except OutOfStepError as error:
             log.info("%s; joining anew", error)
             return None
         except (EnvironmentFailedError, UsageError) as error:
-            self._link.send(
-                Failure(
-                    worker=self._name, generation=welcome.generation,
-                    usage=isinstance(error, UsageError), reason=str(error),
-                )  # fmt: skip
+            failure = Failure(
+                worker=self._name,
+                generation=welcome.generation,
+                usage=isinstance(error, UsageError),
+                reason=str(error),
             )
-            return self._wait_for_stop(str(error))
+            self._link.send(failure)
+            return self._wait_for_stop(failure.reason)
 
-    def _prepare(self, welcome: Welcome) -> None:
+    def _prepare(self, welcome: Welcome) -> Worker:
         """Build the environment once, to see that it works here and how large it is."""
         config = Config.from_dict(json.loads(welcome.config))
         env = make_env(config.run)
         spaces = spaces_of(env)
         self._worker = Worker(self._name, self._link, spaces, config)
         ready = Ready(
-            worker=self._name, generation=welcome.generation, obs_size=spaces.obs_size,
-            action_kind=spaces.action_kind, action_sizes=spaces.action_sizes,
-            env_hash=env_hash(env), exact=exactness(env, config.rollout.exact_envs),
-        )  # fmt: skip
+            worker=self._name,
+            generation=welcome.generation,
+            obs_size=spaces.obs_size,
+            action_kind=spaces.action_kind,
+            action_sizes=spaces.action_sizes,
+            env_hash=env_hash(env),
+            exact=exactness(env, config.rollout.exact_envs),
+        )
         env.close()
         self._link.send(ready)
+        return self._worker
 
     def _wait_for_stop(self, reason: str) -> Stop | None:
         """After a failure: the learner decides."""
-        log.error("%s", reason)
+        log.info("%s", reason)
         message: ToWorker | LearnerLost | Refused | None = None
         while not isinstance(message, Stop | LearnerLost):
             message = self._link.receive(60.0)

@@ -62,9 +62,10 @@ class Slot:
             )
         if config.update.critic_replay:
             slot.replay = Replay(
-                obs=arrays["replay/obs"], v_target=arrays["replay/v_target"],
+                obs=arrays["replay/obs"],
+                v_target=arrays["replay/v_target"],
                 sigma_target=arrays["replay/sigma_target"],
-            )  # fmt: skip
+            )
         return slot
 
     @classmethod
@@ -74,10 +75,14 @@ class Slot:
             env = make_env(config.run)
             environments.append(
                 Episodes(
-                    env, Adapter(env.observation_space, env.action_space),
-                    exactness(env, config.rollout.exact_envs), config.run.seed, index, number,
+                    env,
+                    Adapter(env.observation_space, env.action_space),
+                    exactness(env, config.rollout.exact_envs),
+                    config.run.seed,
+                    index,
+                    number,
                     config.returns.gamma,
-                )  # fmt: skip
+                )
             )
         return cls(index, config, iteration, environments)
 
@@ -100,9 +105,12 @@ class Slot:
             environment.env.close()
 
     def collect(
-        self, networks: Networks, distribution: Distribution, parameters: Float32,
+        self,
+        networks: Networks,
+        distribution: Distribution,
+        parameters: Float32,
         statistics: Statistics,
-    ) -> tuple[Rollout, Facts]:  # fmt: skip
+    ) -> tuple[Rollout, Facts]:
         """Run the policy for T steps in every environment (Algorithm 3: the K-step windows).
 
         Raises:
@@ -183,9 +191,12 @@ class _Record:
         return Rollout(
             obs=self.seen(normalizer, self.obs, self.clock),
             next_obs=self.seen(normalizer, self.next_obs, self.clock + 1),
-            action=self.action, reward=self.reward, terminated=zero_past, ended=ended,
+            action=self.action,
+            reward=self.reward,
+            terminated=zero_past,
+            ended=ended,
             starts=self.clock == 0,
-        )  # fmt: skip
+        )
 
     def facts(self) -> Facts:
         """What the learner is told."""
@@ -194,4 +205,3 @@ class _Record:
             returns=Moments.of(self.discounted.ravel()),
             episodes=np.array(self.episodes),
         )
-

@@ -6,6 +6,7 @@ forces, ...). Those are kept beside it; whatever else `mj_step` needs, it comput
 """
 
 import json
+from typing import Any
 
 import gymnasium
 import mujoco
@@ -52,11 +53,12 @@ def restore(env: Env, arrays: Arrays) -> None:
 
 def _time_limit(env: Env, steps: int | None = None) -> int:
     """Steps the time limit has counted; set them if given. -1 without a time limit."""
-    wrapper = env
-    while isinstance(wrapper, gymnasium.Wrapper):
-        if isinstance(wrapper, gymnasium.wrappers.TimeLimit):
-            if steps is not None:
-                wrapper._elapsed_steps = steps  # noqa: SLF001  Gymnasium offers no other way
-            return int(wrapper._elapsed_steps or 0)  # noqa: SLF001
+    wrapper: Any = env
+    while not isinstance(wrapper, gymnasium.wrappers.TimeLimit):
+        if not isinstance(wrapper, gymnasium.Wrapper):
+            return -1
         wrapper = wrapper.env
-    return -1
+    limit: Any = wrapper  # Gymnasium offers no other way than its private counter
+    if steps is not None:
+        limit._elapsed_steps = steps
+    return int(limit._elapsed_steps or 0)

@@ -26,7 +26,7 @@ from dppo.networks import Networks
 from dppo.normalizer import Statistics
 from dppo.rollout import Experience, prepare
 from dppo.spaces import Spaces
-from dppo.sums import aligned_blocks, members, tree_sum
+from dppo.sums import aligned_blocks, block_sum, members
 from dppo.wire.links import WorkerLink
 from dppo.wire.messages import Collect, Collected, Gradient, Measure, Measured, Restore, Update
 from workers.slot import Slot
@@ -90,33 +90,47 @@ class Worker:
         """T steps per slot, V, σ, δ, A_V, A_σ and π_old; moments and snapshot to the chief."""
         before = self._collect_task
         if before is None or before.iteration != task.iteration:
-            for slot in set(self._slots) - set(task.slots):
-                self._forget(slot)
+            for other in set(self._slots) - set(task.slots):
+                self._forget(other)
         self._collect_task = task
         statistics = Statistics(
-            Moments.from_vector(task.obs), Moments.from_vector(task.returns),
+            Moments.from_vector(task.obs),
+            Moments.from_vector(task.returns),
             Moments.from_vector(task.sigma_target),
-        )  # fmt: skip
+        )
         for index in task.slots:
             slot = self._slot(index, task.iteration)
             rollout, facts = slot.collect(
                 self._networks, self._distribution, task.parameters, statistics
             )
             experience, kept, critics = prepare(
-                rollout, slot.replay, self._networks, self._distribution, task.parameters,
-                statistics, task.psi, self._config,
-            )  # fmt: skip
+                rollout,
+                slot.replay,
+                self._networks,
+                self._distribution,
+                task.parameters,
+                statistics,
+                task.psi,
+                self._config,
+            )
             slot.replay = kept if self._config.update.critic_replay else None
             self._lessons[index] = _Lesson(experience)
             self._link.send(
                 Collected(
-                    worker=self._name, generation=task.generation, iteration=task.iteration,
-                    step=task.step, slot=index, obs=facts.obs.to_vector(),
-                    returns=facts.returns.to_vector(), episodes=facts.episodes,
-                    advantages=critics.advantages.to_vector(), fit=critics.fit.to_vector(),
+                    worker=self._name,
+                    generation=task.generation,
+                    iteration=task.iteration,
+                    step=task.step,
+                    slot=index,
+                    obs=facts.obs.to_vector(),
+                    returns=facts.returns.to_vector(),
+                    episodes=facts.episodes,
+                    advantages=critics.advantages.to_vector(),
+                    fit=critics.fit.to_vector(),
                     sigma_target=critics.sigma_target.to_vector(),
-                    start_sigma=critics.start_sigma.to_vector(), snapshot=slot.snapshot(),
-                )  # fmt: skip
+                    start_sigma=critics.start_sigma.to_vector(),
+                    snapshot=slot.snapshot(),
+                )
             )
 
     def _update(self, task: Update) -> None:
@@ -129,12 +143,18 @@ class Worker:
             skips = [sums[number, 2] > sums[number, 0] for number in rows.values()]
             self._link.send(
                 Gradient(
-                    worker=self._name, generation=task.generation, iteration=task.iteration,
-                    step=task.step, first=first, size=size,
+                    worker=self._name,
+                    generation=task.generation,
+                    iteration=task.iteration,
+                    step=task.step,
+                    first=first,
+                    size=size,
                     stopped=tuple(compress(members(block), skips)),
-                    vector=tree_sum({leaf: vectors[number] for leaf, number in rows.items()}, block),
-                    sums=tree_sum({leaf: sums[number] for leaf, number in rows.items()}, block),
-                )  # fmt: skip
+                    vector=block_sum(
+                        {leaf: vectors[number] for leaf, number in rows.items()}, block
+                    ),
+                    sums=block_sum({leaf: sums[number] for leaf, number in rows.items()}, block),
+                )
             )
 
     def _gradients(self, task: Update) -> tuple[Float32, NDArray[np.float64]]:
@@ -145,9 +165,12 @@ class Worker:
             lesson, collect = self._lesson(index, task.iteration)
             if lesson.advantage is None:
                 lesson.advantage = combine(
-                    lesson.experience.a_v, lesson.experience.a_sigma, collect.psi, statistics,
+                    lesson.experience.a_v,
+                    lesson.experience.a_sigma,
+                    collect.psi,
+                    statistics,
                     self._config.safety,
-                )  # fmt: skip
+                )
             stored = len(lesson.experience.critic_obs)
             rows = Minibatch.of(self._config, index, task.iteration, task.step - 1, stored)
             if index in task.stopped:
@@ -155,24 +178,31 @@ class Worker:
             lessons.append(lesson)
             minibatches.append(rows)
         return block_gradient(
-            self._networks, self._distribution, task.parameters,
+            self._networks,
+            self._distribution,
+            task.parameters,
             [lesson.experience for lesson in lessons],
             [lesson.advantage for lesson in lessons if lesson.advantage is not None],
-            minibatches, collect.beta, self._config,
-        )  # fmt: skip
+            minibatches,
+            collect.beta,
+            self._config,
+        )
 
     def _measure(self, task: Measure) -> None:
         """KL[π_old|π] over all of a slot's samples, after the last update."""
         for index in task.slots:
             lesson, _ = self._lesson(index, task.iteration)
-            facts = slot_kl(
-                self._networks, self._distribution, task.parameters, lesson.experience
-            )
+            facts = slot_kl(self._networks, self._distribution, task.parameters, lesson.experience)
             self._link.send(
                 Measured(
-                    worker=self._name, generation=task.generation, iteration=task.iteration,
-                    step=task.step, slot=index, kl=facts.kl, weight=facts.kl_weight,
-                )  # fmt: skip
+                    worker=self._name,
+                    generation=task.generation,
+                    iteration=task.iteration,
+                    step=task.step,
+                    slot=index,
+                    kl=facts.kl,
+                    weight=facts.kl_weight,
+                )
             )
 
     def _slot(self, index: int, iteration: int) -> Slot:

@@ -1,15 +1,16 @@
 """The folder of a run: who may use it, what run it belongs to, where things are.
 
-    config.json       resolved settings, versions, hash of the model XML
-    progress.csv      one row per iteration        metrics.jsonl   the same, one object per line
-    checkpoints/      see checkpoint.py            ledger.jsonl    dropped gradients
-    log.txt           what the learner logged      result.json     how it ended
-    generation        how often a learner was started here
+config.json       resolved settings, versions, hash of the model XML
+progress.csv      one row per iteration        metrics.jsonl   the same, one object per line
+checkpoints/      see checkpoint.py            ledger.jsonl    dropped gradients
+log.txt           what the learner logged      result.json     how it ended
+generation        how often a learner was started here
 """
 
 import fcntl
 import json
 import os
+import shutil
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -32,6 +33,8 @@ class RunDirectory:
     """A run's folder, locked for one learner."""
 
     path: Path
+    is_new: bool
+    """The folder was made for this run."""
     _lock: int
     """File descriptor; the lock goes with the process, however it ends."""
 
@@ -42,6 +45,7 @@ class RunDirectory:
         Raises:
             UsageError: it cannot be written, or another learner is at work in it.
         """
+        is_new = not path.exists()
         try:
             (path / "checkpoints").mkdir(parents=True, exist_ok=True)
             lock = os.open(path / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
@@ -56,7 +60,7 @@ class RunDirectory:
             raise UsageError(
                 f"another learner is at work in --run-dir {path}; stop it, or give another folder"
             ) from error
-        return cls(path, lock)
+        return cls(path, is_new, lock)
 
     @property
     def checkpoints(self) -> Path:
@@ -67,6 +71,11 @@ class RunDirectory:
     def has_run(self) -> bool:
         """A run has left a checkpoint here."""
         return bool(names(self.checkpoints))
+
+    def discard_unused(self) -> None:
+        """Remove a folder that was made for a run that never began."""
+        if self.is_new and not (self.path / "config.json").exists():
+            shutil.rmtree(self.path, ignore_errors=True)
 
     def next_generation(self) -> int:
         """Count one more start; survives a crash right after."""
@@ -125,7 +134,9 @@ def read_config(path: Path) -> Config:
         text = path.read_text()
         values = tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
     except (OSError, ValueError) as error:
-        raise UsageError(f"{path} is not a readable config file (JSON or TOML): {error}") from error
+        raise UsageError(
+            f"{path} is not a readable config file (JSON or TOML): {error}"
+        ) from error
     try:
         if not isinstance(values, dict):
             raise ValueError(f"found a {type(values).__name__}, expected tables such as [run]")

@@ -44,9 +44,8 @@ def encode(message: Message) -> Frame:
     for field in fields(message):
         value, hint = getattr(message, field.name), _HINTS[name][field.name]
         if hint in _DTYPES:
-            raw = value if hint is bytes else np.ascontiguousarray(value, _DTYPES[hint])
             values.append(len(value))
-            body += memoryview(raw).cast("B") if len(value) else b""
+            body += value if hint is bytes else np.asarray(value, _DTYPES[hint]).tobytes()
         else:
             values.append(value)
     return Frame(msgpack.packb([VERSION, name, values]), body)

@@ -173,7 +173,7 @@ class _End:
 
         def close() -> None:
             with contextlib.suppress(zenoh.ZError):
-                self._session.close()
+                self._session.close()  # type: ignore[no-untyped-call]
 
         closing = threading.Thread(target=close, daemon=True)
         closing.start()

@@ -1,0 +1,157 @@
+"""`dppo`: looks at what a run has left. Training is `dppo-learner`."""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dppo.store.checkpoint import Checkpoint
+
+_USAGE = "usage: dppo {eval,checkpoint} RUN [options]; dppo eval --help, dppo checkpoint --help"
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvalArgs:
+    """Evaluate a run's policy: mean, spread and tail of its returns."""
+
+    run: str
+    """Run directory, or one checkpoint folder in it."""
+    episodes: int = 20
+    """Episodes, each from its own start state [count]."""
+    deterministic: bool = False
+    """Take the most likely action instead of sampling."""
+    which: str = "best"
+    """best, newest, or a checkpoint's name such as iteration-00000040."""
+    seed: int = 0
+    """Of start states and actions."""
+    json: bool = False
+    """Print JSON with every episode."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be run."""
+        if self.episodes < 1:
+            raise ValueError(f"--episodes is {self.episodes}, expected >= 1")
+        if self.seed < 0:
+            raise ValueError(f"--seed is {self.seed}, expected >= 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckpointArgs:
+    """Show what is inside a run's checkpoints, with hashes."""
+
+    run: str
+    """Run directory, or one checkpoint folder in it."""
+    which: str = "newest"
+    """best, newest, or a checkpoint's name such as iteration-00000040."""
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Run one subcommand; exit code 2 for wrong usage."""
+    from dppo.process import leave, one_thread
+
+    one_thread()
+    words = sys.argv[1:] if argv is None else argv
+    leave(lambda: _command(words))
+
+
+def _command(words: list[str]) -> int:
+    from dppo.process import parse, start_logging
+
+    start_logging(False)
+    match words:
+        case ["eval", *rest]:
+            return _eval(parse(EvalArgs, _run_first(rest), "dppo eval"))
+        case ["checkpoint", *rest]:
+            return _checkpoint(parse(CheckpointArgs, _run_first(rest), "dppo checkpoint"))
+        case ["-h" | "--help", *_]:
+            print(f"{_USAGE}\n\n{__doc__}")
+            return 0
+    found = words[0] if words else "nothing"
+    print(f"error: found {found}, expected eval or checkpoint\n{_USAGE}", file=sys.stderr)
+    return 2
+
+
+def _run_first(words: list[str]) -> list[str]:
+    """`RUN ...` as `--run RUN ...`."""
+    return ["--run", *words] if words and not words[0].startswith("-") else words
+
+
+def _eval(args: EvalArgs) -> int:
+    from workers.envs import quiet
+    from workers.evaluate import evaluate
+
+    quiet()
+    path, checkpoint = _load(args.run, args.which)
+    result = evaluate(
+        checkpoint, episodes=args.episodes, deterministic=args.deterministic, seed=args.seed
+    )
+    if args.json:
+        print(result.to_json())
+        return 0
+    facts = checkpoint.facts
+    manner = "most likely actions" if args.deterministic else "sampled actions"
+    print(f"{facts['config']['run']['env']}, {path.name}, {facts['env_steps']:,} steps, {manner}")
+    for name, value in result.summary().items():
+        print(f"{name:14} {value:.6g}")
+    return 0
+
+
+def _checkpoint(args: CheckpointArgs) -> int:
+    from dppo.config import Config
+    from dppo.networks import Networks
+    from dppo.spaces import Spaces
+    from dppo.store.checkpoint import sha256
+
+    path, checkpoint = _load(args.run, args.which)
+    facts = checkpoint.facts
+    spaces = Spaces(**facts["spaces"] | {"action_sizes": tuple(facts["spaces"]["action_sizes"])})
+    parameters = checkpoint.arrays["parameters"]
+    parts = Networks.build(spaces, Config.from_dict(facts["config"])).parts
+    summary = {
+        "path": str(path),
+        "env": facts["config"]["run"]["env"],
+        "seed": facts["config"]["run"]["seed"],
+        "env_steps": facts["env_steps"],
+        "parameters_sha256": sha256(parameters),
+        **{f"{name}_sha256": sha256(parameters[part]) for name, part in parts.items()},
+        "state": facts["state"],
+        "arrays": {
+            name: f"{array.dtype} {list(array.shape)}"
+            for name, array in sorted(checkpoint.arrays.items())
+        },
+    }
+    print(json.dumps(summary, indent=2))
+    return 0
+
+
+def _load(run: str, which: str) -> "tuple[Path, Checkpoint]":
+    """The checkpoint that was asked for.
+
+    Raises:
+        UsageError: there is none; says what was looked for and what is there.
+    """
+    from dppo.errors import CheckpointError, UsageError
+    from dppo.store.checkpoint import best_name, load_checkpoint, names
+
+    path = Path(run)
+    if not (path / "manifest.json").exists():
+        folder = path / "checkpoints"
+        found = names(folder)
+        if not found:
+            raise UsageError(
+                f"{run} holds no checkpoint; expected a run directory of dppo-learner"
+            )
+        name = {"best": best_name(folder) or found[-1], "newest": found[-1]}.get(which, which)
+        if name not in found:
+            raise UsageError(f"--which is {which}, expected best, newest, or {', '.join(found)}")
+        path = folder / name
+    try:
+        return path, load_checkpoint(path)
+    except CheckpointError as error:
+        raise UsageError(f"{error}; choose another one with --which") from error
+
+
+if __name__ == "__main__":
+    main()

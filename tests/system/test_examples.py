@@ -1,0 +1,64 @@
+"""The examples, each as a person runs it: a process, and what it prints."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+
+
+def run(*words: str | Path) -> str:
+    """What a Python process prints; it has to succeed."""
+    done = subprocess.run(
+        [sys.executable, *map(str, words)],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_chain_has_the_variance_of_its_closed_form():
+    rows = re.findall(
+        r"s_\d +([\d.]+) +([\d.]+) +([\d.]+)", run(EXAMPLES / "variance_of_a_chain.py")
+    )
+    found = [tuple(map(float, row)) for row in rows]
+    # γ = 0.9, stds 1, 2, 3: 9, then 4 + 0.81 x 9, then 1 + 0.81 x 11.29
+    assert [exact for exact, _, _ in found] == pytest.approx([10.145, 11.29, 9.0], abs=5e-4)
+    for exact, sigma, sampled in found:
+        assert sigma == pytest.approx(exact, rel=0.03)
+        assert sampled == pytest.approx(exact, rel=0.03)
+
+
+@pytest.mark.slow
+def test_one_process_prints_the_same_lines_for_any_number_of_workers():
+    two, three = (run(EXAMPLES / "one_process.py", number) for number in ("2", "3"))
+    assert two == three
+    assert re.search(r"parameters_sha256 [0-9a-f]{64}\n$", two)
+    returns = [float(value) for value in re.findall(r"return ([\d.]+)", two)]
+    assert len(returns) == 12  # 12,000 steps in iterations of 1024, rounded up
+    assert returns[-1] > returns[0]
+
+
+@pytest.mark.slow
+def test_a_policy_is_loaded_from_the_run_directory_that_training_left(tmp_path: Path):
+    folder = tmp_path / "run"
+    settings = "--env InvertedPendulum-v5 --total-timesteps 2048 --num-steps 64 --update-epochs 1"
+    run("-m", "learner", *settings.split(), "--run-dir", folder)
+
+    text = run(EXAMPLES / "load_a_policy.py", folder)
+
+    assert re.search(r"^iteration-\d{8} of .*: trained for (1024|2048) steps$", text, re.MULTILINE)
+    played = re.search(r"one episode: (\d+) steps, return ([\d.]+)", text)
+    assert played is not None
+    fallen = int(played[1]) - float(played[2])  # 1 a step, 0 for the one it falls in
+    assert fallen in {0.0, 1.0}

@@ -1,0 +1,136 @@
+"""What dies comes back, and costs time, never bits."""
+
+import json
+import os
+import signal
+
+import pytest
+
+from learner.local import free_address
+from tests.support import (
+    SMALL,
+    Harness,
+    checkpoints,
+    descendants,
+    is_alive,
+    iterations,
+    result,
+    wait_until,
+)
+
+pytestmark = pytest.mark.slow
+RUN = ("--env", "Hopper-v5", *SMALL, "--total-timesteps", str(30 * 8 * 64))
+EVERY = ("--checkpoint-every", "2")
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory):
+    """The hash of the run when nothing happens to it."""
+    harness = Harness(tmp_path_factory.mktemp("undisturbed"))
+    outcome = harness.train(*RUN, "--local-workers", "2", run_dir=harness.folder / "run")
+    return outcome["parameters_sha256"]
+
+
+def test_a_worker_started_before_the_learner_waits_and_joins(harness):
+    address, run_dir = free_address(), harness.folder / "run"
+    worker = harness.worker(address)
+    wait_until(lambda: "waiting for a learner" in worker.text, "the worker to say that it waits")
+    learner = harness.learner(*RUN, "--local-workers", "0", "--listen", address, run_dir=run_dir)
+    assert learner.wait() == 0, learner.text
+    assert worker.wait() == 0, worker.text
+    assert "joined run" in worker.text
+
+
+def test_a_worker_killed_mid_iteration_costs_no_bits(harness, undisturbed):
+    address, run_dir = free_address(), harness.folder / "run"
+    victim, other = harness.worker(address), harness.worker(address)
+    learner = harness.learner(
+        *RUN, "--local-workers", "0", "--listen", address, "--verbose", run_dir=run_dir
+    )
+    wait_until(lambda: iterations(run_dir) >= 3, "three iterations")
+    victim.kill()
+    assert learner.wait() == 0, learner.text
+    assert "left: its connection is gone; 1 in the run" in learner.text
+    assert other.wait() == 0
+    assert result(run_dir)["parameters_sha256"] == undisturbed
+
+
+def test_a_local_worker_killed_is_replaced_and_costs_no_bits(harness, undisturbed):
+    run_dir = harness.folder / "run"
+    learner = harness.learner(*RUN, "--local-workers", "1", run_dir=run_dir)
+    wait_until(lambda: iterations(run_dir) >= 3, "three iterations")
+    (victim,) = descendants(learner.popen.pid)
+    os.kill(victim, signal.SIGKILL)
+    assert learner.wait() == 0, learner.text
+    assert "starting another" in learner.text
+    assert result(run_dir)["parameters_sha256"] == undisturbed
+
+
+def test_a_learner_killed_and_started_again_finishes_with_the_same_bits(harness, undisturbed):
+    run_dir = harness.folder / "run"
+    command = (*RUN, *EVERY, "--local-workers", "2")
+    learner = harness.learner(*command, run_dir=run_dir)
+    wait_until(lambda: len(checkpoints(run_dir)) >= 2, "two checkpoints")
+    workers = descendants(learner.popen.pid)
+    learner.kill()
+    wait_until(lambda: not any(map(is_alive, workers)), "the local workers to die with it")
+    outcome = harness.train(*command, run_dir=run_dir)
+    assert outcome["parameters_sha256"] == undisturbed
+    assert outcome["restarts"] == 1
+    rows = [json.loads(line) for line in (run_dir / "metrics.jsonl").read_text().splitlines()]
+    assert [row["iteration"] for row in rows] == list(range(1, 31))
+
+
+def test_external_workers_outlive_the_learner_and_join_the_next_one(harness, undisturbed):
+    address, run_dir = free_address(), harness.folder / "run"
+    command = (*RUN, *EVERY, "--local-workers", "0", "--listen", address)
+    workers = [harness.worker(address), harness.worker(address)]
+    learner = harness.learner(*command, run_dir=run_dir)
+    wait_until(lambda: len(checkpoints(run_dir)) >= 2, "two checkpoints")
+    learner.kill()
+    outcome = harness.train(*command, run_dir=run_dir)
+    assert outcome["parameters_sha256"] == undisturbed
+    assert [worker.wait() for worker in workers] == [0, 0]
+
+
+def test_sigterm_leaves_a_checkpoint_and_exit_code_0(harness, undisturbed):
+    run_dir = harness.folder / "run"
+    command = (*RUN, "--checkpoint-every", "1000", "--local-workers", "2")
+    learner = harness.learner(*command, run_dir=run_dir)
+    wait_until(lambda: iterations(run_dir) >= 2, "two iterations")
+    learner.send(signal.SIGTERM)
+    assert learner.wait(10) == 0, learner.text
+    assert result(run_dir)["status"] == "stopped"
+    assert len(checkpoints(run_dir)) == 1
+    assert harness.train(*command, run_dir=run_dir)["parameters_sha256"] == undisturbed
+
+
+def test_a_stopped_worker_is_given_up_and_rejoins(harness, undisturbed):
+    address, run_dir = free_address(), harness.folder / "run"
+    stalled, _ = harness.worker(address, "--name", "stalled"), harness.worker(address)
+    learner = harness.learner(
+        *RUN, "--local-workers", "0", "--listen", address, "--verbose", run_dir=run_dir
+    )
+    wait_until(lambda: iterations(run_dir) >= 2, "two iterations")
+    stalled.send(signal.SIGSTOP)
+    wait_until(lambda: "worker stalled left" in learner.text, "the learner to give it up")
+    stalled.send(signal.SIGCONT)
+    assert learner.wait() == 0, learner.text
+    assert result(run_dir)["parameters_sha256"] == undisturbed
+
+
+def test_late_gradients_are_dropped_and_accounted_for(harness):
+    """W = 8, D = 4, two workers of four slots: one of them is stopped and never waited for."""
+    address, run_dir = free_address(), harness.folder / "run"
+    late, _ = harness.worker(address, "--name", "a"), harness.worker(address, "--name", "b")
+    learner = harness.learner(
+        *RUN, "--drop", "4", "--local-workers", "0", "--listen", address, run_dir=run_dir
+    )
+    wait_until(lambda: iterations(run_dir) >= 2, "two iterations")
+    late.send(signal.SIGSTOP)
+    wait_until(lambda: (run_dir / "ledger.jsonl").read_text() != "", "a dropped gradient")
+    late.send(signal.SIGCONT)
+    assert learner.wait() == 0, learner.text
+    ledger = [json.loads(line) for line in (run_dir / "ledger.jsonl").read_text().splitlines()]
+    assert all(0 < len(line["dropped"]) <= 4 for line in ledger)
+    assert result(run_dir)["dropped_gradients"] == sum(len(line["dropped"]) for line in ledger)
