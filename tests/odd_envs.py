@@ -15,7 +15,7 @@ class Walk(gymnasium.Env[Any, Any]):
         self.observation_space = observations or spaces.Box(-1, 1, (2,))
         self._trouble, self._steps = trouble, 0
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+    def reset(self, *, seed: int | None = None, **_: Any) -> Any:
         super().reset(seed=seed)
         self._steps = 0
         return np.zeros(2, np.float32), {}

@@ -58,7 +58,7 @@ def spaces_of(env: Env) -> Spaces:
     """
     observation, action = env.observation_space, env.action_space
     name = env.spec.id if env.spec else type(env).__name__
-    if not observation.is_np_flattenable:
+    if not _is_vector(observation):
         raise UsageError(
             f"{name} has observation space {observation}, which cannot be flattened into a "
             "vector; supported are Box, Discrete, MultiDiscrete, MultiBinary, and Dict and Tuple "
@@ -78,6 +78,18 @@ def spaces_of(env: Env) -> Spaces:
     raise UsageError(
         f"{name} has action space {action}; supported are Box of floats, Discrete and "
         "MultiDiscrete"
+    )
+
+
+def _is_vector(space: spaces.Space[Any]) -> bool:
+    """Can observations of this space be flattened into numbers that mean something?"""
+    match space:
+        case spaces.Dict():
+            return all(_is_vector(part) for part in space.spaces.values())
+        case spaces.Tuple():
+            return all(_is_vector(part) for part in space.spaces)
+    return isinstance(
+        space, spaces.Box | spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary
     )
 
 

@@ -16,6 +16,7 @@ import contextlib
 import json
 import os
 import queue
+import re
 import threading
 from typing import Any
 
@@ -71,12 +72,28 @@ def _sentence(error: zenoh.ZError) -> str:
     return str(error).split(" at /")[0].split("[")[0].strip().rstrip(".:")
 
 
+def check_address(flag: str, address: str) -> None:
+    """Refuse what is no Zenoh address, before Zenoh retries it for ever.
+
+    Raises:
+        UsageError: the address is malformed.
+    """
+    match = re.fullmatch(r"(tcp|udp|tls|quic|ws)/(\[.+\]|[^\s/\[\]]+):(\d{1,5})(#.*)?", address)
+    is_socket = address.startswith("unixsock-stream/")
+    if not is_socket and (match is None or int(match[3]) > 65535):
+        raise UsageError(
+            f"{flag} is {address!r}, expected an address such as tcp/learner:7447 or "
+            "tcp/127.0.0.1:7447"
+        )
+
+
 def open_listening(address: str) -> zenoh.Session:
     """The learner's session.
 
     Raises:
         UsageError: the address is malformed, taken, or not one of this host.
     """
+    check_address("--listen", address)
     try:
         return zenoh.open(_config("router", {"listen": {"endpoints": [address]}}))
     except zenoh.ZError as error:
@@ -92,6 +109,7 @@ def open_connecting(address: str) -> zenoh.Session | None:
     Raises:
         UsageError: the address is malformed.
     """
+    check_address("--connect", address)
     endpoints = {
         "listen": {"endpoints": []},
         "connect": {
