@@ -208,14 +208,13 @@ def _policy_gradient(
     ratio = np.exp(log_prob - _gather([e.log_prob_old for e in experiences], rows))
     gain = ratio * _gather(advantages, rows)
     weight, facts = np.empty(len(rows), np.float32), np.zeros((len(rows), len(_COLUMN)))
-    count = output.shape[1]
+    count, skips = output.shape[1], []
     for slot, total in enumerate(kl_sums):
         kl = float(total) / count
         weight[slot] = kl_weight(kl, beta, config.kl)
         skip = config.kl.kl_scope == "worker" and kl > config.kl.kl_stop * config.kl.kl_target
         objective = 0.0 if skip else policy_objective(gain[slot], kl, beta, config.kl)
-        if skip:
-            gain[slot], weight[slot] = 0.0, 0.0
+        skips += [slot] if skip else []
         # in the order of Sums: policy weight, critic weight, KL weight, KL, J, losses
         facts[slot, :5] = (0.0 if skip else count, 0.0, count, total, objective * count)
 
@@ -229,6 +228,7 @@ def _policy_gradient(
     if networks.log_std_size:
         slope = w * d_kl_std - g * d_log_prob_std
         gradient[:, networks.policy.size :] = (np.ones((1, count), np.float32) @ slope)[:, 0]
+    gradient[skips] = 0.0
     return gradient, facts
 
 

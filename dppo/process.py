@@ -56,15 +56,15 @@ def leave(work: Callable[[], int]) -> NoReturn:
         code = _say(error, 2)
     except DppoError as error:
         code = _say(error, 1)
-    except (KeyboardInterrupt, Terminated):
+    except (KeyboardInterrupt, Terminated, BrokenPipeError):
         code = 0
-    except BrokenPipeError:
-        code = 0
+    except OSError as error:
+        code = _say(error, 1)
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(code)
 
 
-def _say(error: DppoError, code: int) -> int:
+def _say(error: Exception, code: int) -> int:
     print(f"error: {error}", file=sys.stderr)
     return code

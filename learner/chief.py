@@ -1,8 +1,8 @@
 """The chief: Algorithm 2 of Heess et al. 2017.
 
-    for i in {1, ..., N}:
+    for i in {1, ..., N}:                                              iterate
         workers run the policy                                         _collect
-        for m in {1, ..., M}, b in {1, ..., B}:
+        for m in {1, ..., M}, b in {1, ..., B}:                        _improve
             wait until at least W - D gradients are available          _exchange.gather
             average them and update θ and φ                            _apply
         adapt the KL coefficient                                       _adapt
@@ -61,17 +61,26 @@ class Chief:
 
     def iterate(self) -> IterationReport:
         """One iteration: collect, M and B updates, adaptation. `state` is then the next one's."""
-        before, updates = self.state, self._config.update.updates
-        psi = self._psi()
+        before, psi = self.state, self._psi()
         collected = self._collect(psi)
         advantages = _merged([answer.advantages for answer in collected])
         training = Training(psi, before.beta, AdvantageStatistics(advantages).stds)
-        stopped: set[int] = set()
+        if before.iteration > 0:  # the first one only fills the shared statistics
+            self._improve(advantages, training)
+            self._adapt(collected, training)
+        self._advance(collected, training)
+        return summarise(
+            before, self.state, collected, training, self._config, self._exchange.num_workers
+        )
+
+    def _improve(self, advantages: Moments, training: Training) -> None:
+        """M updates of the policy and B of the critics, each from at least W - D gradients."""
+        updates, stopped = self._config.update.updates, set[int]()
         for update in range(updates):
             gradients = self._exchange.gather(
                 Update(
                     generation=self._generation,
-                    iteration=before.iteration,
+                    iteration=self.state.iteration,
                     step=1 + update,
                     slots=self._slots,
                     stopped=tuple(sorted(stopped)),
@@ -85,17 +94,17 @@ class Chief:
         measured = self._exchange.gather(
             Measure(
                 generation=self._generation,
-                iteration=before.iteration,
+                iteration=self.state.iteration,
                 step=1 + updates,
                 slots=self._slots,
                 parameters=self._parameters,
             ),
             quorum=self._config.rollout.quorum,
         )
-        self._adapt(measured, collected, training)
-        return summarise(
-            before, self.state, collected, training, self._config, self._exchange.num_workers
-        )
+        answers = cast("list[Measured]", list(measured.answers.values()))
+        training.kls = [
+            (answer.kl, answer.weight) for answer in sorted(answers, key=lambda a: a.slot)
+        ]
 
     @property
     def _slots(self) -> tuple[int, ...]:
@@ -173,31 +182,25 @@ class Chief:
         rates[self._networks.policy.size :] *= self._networks.log_std_rate(self._config.network)
         return rates
 
-    def _adapt(
-        self, measured: Round[Answer], collected: list[Collected], training: Training
-    ) -> None:
-        """β by the final KL, ψ by σ(s_0), statistics by what was seen; on to iteration i + 1."""
+    def _adapt(self, collected: list[Collected], training: Training) -> None:
+        """β (and the servo) by the final KL, ψ by σ(s_0) under a variance limit."""
         state, config = self.state, self._config
-        kls = {
-            answer.slot: (answer.kl, answer.weight)
-            for answer in cast("list[Measured]", list(measured.answers.values()))
-        }
-        total = [kls[slot] for slot in sorted(kls)]
-        training.kl = sum(kl for kl, _ in total) / sum(weight for _, weight in total)
-        beta = state.beta
+        beta, servo, psi = state.beta, state.servo, state.psi
         if config.kl.kl_scope == "chief":
             beta = adapt_kl_coef(beta, training.kl, config.kl)
         else:
-            for kl, weight in total:
+            for kl, weight in training.kls:
                 beta = adapt_kl_coef(beta, kl / weight, config.kl, config.rollout.slots)
-        servo = state.servo
         if config.update.lr_schedule == "servo":
             servo = adapt_servo(servo, beta, training.kl, config.kl)
         starts = _merged([answer.start_sigma for answer in collected])
-        psi = state.psi
         if starts.count > 0:
             psi = dual_psi(psi, float(starts.mean[0]), config.safety)
-        statistics = state.statistics
+        self.state = replace(state, beta=beta, servo=servo, psi=psi)
+
+    def _advance(self, collected: list[Collected], training: Training) -> None:
+        """On to the next iteration: statistics and episodes merged in slot order."""
+        state, statistics = self.state, self.state.statistics
         for answer in collected:
             statistics = statistics.merge(_statistics(answer))
         episodes = [answer.episodes.reshape(-1, 2) for answer in collected]
@@ -206,9 +209,6 @@ class Chief:
             iteration=state.iteration + 1,
             parameters=self._parameters,
             statistics=statistics,
-            beta=beta,
-            psi=psi,
-            servo=servo,
             dropped_gradients=state.dropped_gradients + training.dropped,
             snapshots={answer.slot: answer.snapshot for answer in collected},
         )

@@ -28,12 +28,18 @@ class Training:
     beta: float
     advantage_stds: tuple[float, float, float]
     """Standard deviations of A_V, A_σ and A_V − ψ A_σ, before standardising."""
-    kl: float = 0.0
-    """Mean KL[π_old‖π] after the last update [nats]."""
+    kls: list[tuple[float, float]] = field(default_factory=list)
+    """Sum of KL[π_old‖π] after the last update, and samples, of each slot in order [nats]."""
     dropped: int = 0
     policy_updates: int = 0
     sums: list[Sums] = field(default_factory=list)
     norms: dict[Network, float] = field(default_factory=dict)
+
+    @property
+    def kl(self) -> float:
+        """Mean KL[π_old‖π] after the last update [nats]; 0 without updates."""
+        weight = sum(weight for _, weight in self.kls)
+        return sum(kl for kl, _ in self.kls) / weight if weight else 0.0
 
     def note(self, sums: Sums, stop: bool) -> None:
         """One update's sums; `stop`: its policy gradient is not applied."""

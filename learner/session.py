@@ -11,6 +11,7 @@ from importlib.metadata import version
 import numpy as np
 
 from dppo.config import Config
+from dppo.errors import RunFailedError
 from dppo.leases import Leases
 from dppo.networks import Networks
 from dppo.statistics import cvar
@@ -91,8 +92,7 @@ class Session:
         """Make sure that the newest whole iteration is on the disk."""
         if self.state is not None and self._saved != self.state.iteration:
             self._save(self.state)
-        if self._saving is not None:
-            self._saving.result()
+        self._await_saving()
 
     def interrupted(self) -> dict[str, object] | None:
         """After a signal: pause the workers; the contents of result.json, if anything was done."""
@@ -130,10 +130,26 @@ class Session:
 
     def _save(self, state: State) -> None:
         """Save in the background; at most one at a time."""
-        if self._saving is not None:
-            self._saving.result()
+        self._await_saving()
         self._saved = state.iteration
         self._saving = self._disk.submit(self._write, state)
+
+    def _await_saving(self) -> None:
+        """Wait for the checkpoint that is being written, if any.
+
+        Raises:
+            RunFailedError: it could not be written.
+        """
+        if self._saving is None:
+            return
+        saving, self._saving = self._saving, None
+        try:
+            saving.result()
+        except OSError as error:
+            raise RunFailedError(
+                f"the checkpoint in {self._folder.checkpoints} could not be written: {error}; "
+                "make room there and start the same command again"
+            ) from error
 
     def _write(self, state: State) -> None:
         folder, name = self._folder.checkpoints, name_of(state.iteration)

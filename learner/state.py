@@ -1,6 +1,5 @@
 """Everything that a run is between two iterations; what a checkpoint holds."""
 
-import json
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -89,9 +88,7 @@ class State:
             "servo": self.servo,
             "finished_episodes": self.finished_episodes,
             "dropped_gradients": self.dropped_gradients,
-            "best_mean": json.loads(json.dumps(self.best_mean))
-            if self.best_mean > -np.inf
-            else None,
+            "best_mean": self.best_mean if self.best_mean > -np.inf else None,
             "adam_steps": {name: adam.steps for name, adam in self.optimizers.items()},
         }
         return Checkpoint(arrays, {"state": own, **facts})

@@ -33,11 +33,12 @@ class Walk(gymnasium.Env[Any, Any]):
         return obs, 1.0, self._steps == 16, False, {}
 
 
-for name, kwargs in {
+TROUBLES: dict[str, dict[str, Any]] = {
     "Raises-v0": {"trouble": "raise"},
     "NotANumber-v0": {"trouble": "nan"},
     "Dice-v0": {"trouble": "dice"},
     "OddActions-v0": {"actions": spaces.MultiBinary(3)},
     "OddObservations-v0": {"observations": spaces.Text(3)},
-}.items():
-    gymnasium.register(name, entry_point=Walk, kwargs=kwargs)
+}
+for name, kwargs in TROUBLES.items():
+    gymnasium.register(name, entry_point="tests.odd_envs:Walk", kwargs=kwargs)

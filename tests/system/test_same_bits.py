@@ -69,20 +69,38 @@ def test_external_workers_and_a_resumed_run_give_the_same_bits(harness, env):
     "args",
     [
         ("--kl-scope", "worker", "--kl-target", "0.0005"),
-        ("--preset", "heess2017"),
+        ("--preset", "heess2017", "--num-steps", "100"),
+        ("--preset", "paper", "--slots", "4", "--num-steps", "50", "--critic-minibatches", "5"),
+        (
+            "--preset",
+            "authors-2019",
+            "--slots",
+            "6",
+            "--num-steps",
+            "40",
+            "--critic-minibatches",
+            "2",
+        ),
         ("--critic-replay", "--time-limit", "time-feature"),
         ("--slots", "5", "--adv-norm", "joint", "--variance-limit", "1"),
     ],
-    ids=["kl-scope-worker", "heess2017", "replay-and-time-feature", "five-slots-variance-limit"],
+    ids=[
+        "kl-scope-worker",
+        "heess2017",
+        "paper",
+        "authors-2019",
+        "replay-and-time-feature",
+        "five-slots-variance-limit",
+    ],
 )
 def test_switches_keep_the_same_bits(harness, args):
     hashes = set()
     for workers in (1, 3):
         run_dir = harness.folder / str(workers)
-        preset = args if args[0] == "--preset" else (*SMALL, *args)
+        flags = args if args[0] == "--preset" else (*SMALL, *args)
         outcome = harness.train(
-            "--env", "Hopper-v5", *preset, "--num-steps", "100", "--local-workers", str(workers),
-            "--total-timesteps", "3000", run_dir=run_dir,
+            "--env", "Hopper-v5", *flags, "--local-workers", str(workers),
+            "--total-timesteps", "1200", run_dir=run_dir,
         )  # fmt: skip
         assert outcome["dropped_gradients"] == 0
         hashes.add(outcome["parameters_sha256"])
