@@ -9,7 +9,7 @@ import dataclasses
 import json
 import math
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import Any, Literal, Self, get_args, get_origin, get_type_hints
 
 from dppo.settings import (
     KlConfig,
@@ -121,13 +121,17 @@ def _plain(value: Any) -> Any:  # noqa: ANN401  any field value, to any JSON val
 
 
 def _fields(group: type, values: dict[str, Any]) -> dict[str, Any]:
-    """Field values of one group from JSON or TOML, checked by name and type."""
+    """Field values of one group from JSON or TOML, checked by name, type and choice."""
     defaults = {f.name: getattr(group(), f.name) for f in dataclasses.fields(group)}
+    hints = get_type_hints(group)
     checked = {}
     for name, value in values.items():
         if name not in defaults:
             raise ValueError(f"found the setting {name!r}, expected one of {', '.join(defaults)}")
         checked[name] = _coerced(name, value, defaults[name])
+        choices = get_args(hints[name]) if get_origin(hints[name]) is Literal else ()
+        if choices and value not in choices:
+            raise ValueError(f"{name} is {value!r}, expected one of {', '.join(choices)}")
     return checked
 
 
@@ -137,9 +141,11 @@ def _coerced(name: str, value: Any, default: Any) -> Any:  # noqa: ANN401  see _
             return tuple(value)
         case float(), "inf":
             return math.inf
-        case float(), int() | float() if not isinstance(value, bool):
+        case float(), int() | float() if type(value) is not bool and abs(value) < 1e300:
             return float(value)
-        case int(), float() if not isinstance(default, bool) and value == int(value):
+        case float(), float():
+            return value  # infinite or not a number: the group's own checks judge it
+        case int(), float() if type(default) is int and value.is_integer():
             return int(value)
         case _ if type(value) is type(default):
             return value

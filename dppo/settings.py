@@ -145,7 +145,8 @@ class SafetyConfig:
         _require_finite(self, "psi", "variance_limit_rate")
         require(self.psi >= 0, "psi", self.psi, ">= 0")
         require(0 <= self.psi_warmup < 1, "psi_warmup", self.psi_warmup, "0 <= psi_warmup < 1")
-        require(self.variance_limit > 0, "variance_limit", self.variance_limit, "> 0")
+        for name in ("variance_limit", "variance_limit_rate"):
+            require(getattr(self, name) > 0, name, getattr(self, name), "> 0")
         needs_critic = self.psi > 0 or math.isfinite(self.variance_limit)
         require(
             self.variance_critic or not needs_critic,
@@ -279,7 +280,7 @@ class NetworkConfig:
         fits = len(self.hidden_sizes) >= 1 and min(self.hidden_sizes) >= 1
         require(fits, "hidden_sizes", self.hidden_sizes, "one or more sizes >= 1")
         require(
-            self.log_std_rate > 0 or self.log_std_rate == -1,
+            0 < self.log_std_rate < math.inf or self.log_std_rate == -1,
             "log_std_rate",
             self.log_std_rate,
             "> 0, or -1 for the paper's",

@@ -1,5 +1,6 @@
 """`dppo-learner`: command line -> run directory, link, local workers -> session -> exit code."""
 
+import socket
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -170,6 +171,8 @@ def _check_resume(has_run: bool, path: Path, resume: str) -> None:
 
 def _announce(config: Config, path: Path, address: str, count: int) -> None:
     """The first lines: what runs where, and what psi means in it."""
+    if address.startswith(("tcp/0.0.0.0:", "tcp/[::]:")):
+        address = f"tcp/{socket.gethostname()}:{address.rpartition(':')[2]}"
     unit = {"separate": "1", "joint": "1/reward", "none": "1/reward"}[config.safety.adv_norm]
     print(
         f"training {config.run.env}: {config.iterations} iterations of "
@@ -179,6 +182,10 @@ def _announce(config: Config, path: Path, address: str, count: int) -> None:
         f"run directory {path}; {count} local workers; others: dppo-worker --connect {address}",
         flush=True,
     )
+    if config.iterations == 1:
+        print(
+            "one iteration only fills the shared statistics: nothing will be learned", flush=True
+        )
 
 
 if __name__ == "__main__":

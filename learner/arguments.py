@@ -35,10 +35,9 @@ def _is_number(word: str) -> bool:
 
 def _whole(word: str) -> str:
     """1e6 as 1000000; anything else as it is, for the parser to judge."""
-    try:
-        number = float(word)
-    except ValueError:
+    if "e" not in word.lower() or not _is_number(word):
         return word
+    number = float(word)
     return str(int(number)) if number.is_integer() else word
 
 
@@ -65,7 +64,7 @@ def _value(argv: list[str], flag: str) -> str | None:
     """The word behind `flag`."""
     if flag not in argv:
         return None
-    at = argv.index(flag) + 1
+    at = len(argv) - argv[::-1].index(flag)  # the last one counts, as for the parser
     if at >= len(argv):
         raise UsageError(f"{flag} needs a value")
     return argv[at]

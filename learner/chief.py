@@ -146,9 +146,9 @@ class Chief:
         stop = self._stops(sums)
         training.note(sums, stop)
         if not stop:
-            self._step(vector, sums, training)
+            self._change(vector, sums, training)
             return {slot for answer in answers.values() for slot in answer.stopped}
-        self._step(vector, replace(sums, policy_weight=0.0), training)
+        self._change(vector, replace(sums, policy_weight=0.0), training)
         return set(self._slots)
 
     def _stops(self, sums: Sums) -> bool:
@@ -156,7 +156,7 @@ class Chief:
         kl = self._config.kl
         return kl.kl_scope == "chief" and sums.mean_kl > kl.kl_stop * kl.kl_target
 
-    def _step(self, vector: Float32, sums: Sums, training: Training) -> None:
+    def _change(self, vector: Float32, sums: Sums, training: Training) -> None:
         """θ, φ and the variance network's parameters after one update each."""
         settings, state = self._config.update, self.state
         factor = learning_rate_factor(self._config, state.iteration)

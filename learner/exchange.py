@@ -10,8 +10,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from dppo.errors import RunFailedError, UsageError
 from dppo.leases import Leases
 from dppo.rounds import Round, RoundId
@@ -32,6 +30,7 @@ from dppo.wire.messages import (
     Welcome,
 )
 from learner.roster import Roster, spaces_in
+from learner.soundness import is_finite, shape_objection
 
 log = logging.getLogger("learner")
 _TICK = 0.25
@@ -245,23 +244,19 @@ class Exchange:
         )
 
     def _sound(self, answer: Answer) -> bool:
-        """Shapes as the config says, numbers finite; a worker that breaks either is dealt with."""
-        if not isinstance(answer, Gradient):
-            return True
-        expected = self._parameter_count()
-        if len(answer.vector) != expected:
-            self._expel(
-                answer.worker,
-                f"worker {answer.worker} sent a gradient of {len(answer.vector)} numbers, the "
-                f"networks have {expected} parameters",
-            )
+        """Sizes as the config says, numbers finite; a worker that breaks either is dealt with."""
+        assert self.roster.first is not None
+        spaces, count = spaces_in(self.roster.first), self._parameter_count()
+        who = self.roster.describe(answer.worker)
+        if objection := shape_objection(answer, spaces, count):
+            self._expel(answer.worker, f"{who} {objection}")
             return False
-        if not np.isfinite(answer.vector.sum(dtype=np.float64) + answer.sums.sum()):
+        if not is_finite(answer):
+            first, size = _block(answer)
             raise RunFailedError(
-                f"slots {answer.first} to {answer.first + answer.size - 1} on "
-                f"{self.roster.describe(answer.worker)} sent a gradient that is not finite, "
-                f"iteration {answer.iteration}, update {answer.step - 1}; lower "
-                "--learning-rate or look at the rewards' scale"
+                f"slots {first} to {first + size - 1} on {who} sent a "
+                f"{type(answer).__name__} that is not finite, iteration {answer.iteration}, step "
+                f"{answer.step}; lower --learning-rate or look at the rewards' scale"
             )
         return True
 

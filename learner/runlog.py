@@ -30,7 +30,7 @@ class RunLog:
         """Open the files of a run that stands at the start of `iteration`."""
         self._folder = folder
         _cut(folder / "metrics.jsonl", iteration)
-        _cut(folder / "ledger.jsonl", iteration + 1)  # updates are noted by running iterations
+        _cut(folder / "ledger.jsonl", iteration - 1)  # noted by the iteration under way, from 0
         self._metrics = (folder / "metrics.jsonl").open("a")
         self._ledger = (folder / "ledger.jsonl").open("a")
         self._csv = (folder / "progress.csv").open("w", newline="")
@@ -59,6 +59,7 @@ class RunLog:
         """One ledger line."""
         row = {"iteration": line.iteration, "update": line.update, "dropped": line.dropped}
         self._ledger.write(json.dumps(row) + "\n")
+        self._ledger.flush()
 
     def close(self) -> None:
         """Flush everything."""

@@ -8,8 +8,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from importlib.metadata import version
 
-import numpy as np
-
 from dppo.config import Config
 from dppo.errors import RunFailedError
 from dppo.leases import Leases
@@ -29,7 +27,6 @@ from dppo.wire.messages import Welcome
 from learner.chief import Chief
 from learner.console import Console
 from learner.exchange import Exchange
-from learner.report import IterationReport
 from learner.runlog import RunLog
 from learner.state import State
 
@@ -91,7 +88,7 @@ class Session:
     def save(self) -> None:
         """Make sure that the newest whole iteration is on the disk."""
         if self.state is not None and self._saved != self.state.iteration:
-            self._save(self.state)
+            self._save(self._judged())
         self._await_saving()
 
     def interrupted(self) -> dict[str, object] | None:
@@ -115,17 +112,19 @@ class Session:
             console.show(report, speed)
             due = self.state.iteration % self._every == 0
             if due or self.state.iteration == self._config.iterations:
-                self._save(self._judged(report))
+                self._save(self._judged())
             if report.env_steps >= stop_at:
                 break
             chief.state = self.state
         self.save()
 
-    def _judged(self, report: IterationReport) -> State:
+    def _judged(self) -> State:
         """The state, with the highest mean return so far."""
         assert self.state is not None
-        mean = report.metrics.get("rollout/ep_rew_mean", -np.inf)
-        self.state = replace(self.state, best_mean=max(mean, self.state.best_mean))
+        state = self.state
+        if len(state.episodes):
+            mean = float(state.episodes[:, 0].mean())
+            self.state = replace(state, best_mean=max(mean, state.best_mean))
         return self.state
 
     def _save(self, state: State) -> None:

@@ -1,4 +1,7 @@
-"""Ctrl-C and SIGTERM: the first asks to stop at the next round, the second stops at once."""
+"""Ctrl-C and SIGTERM: the first ends the run at the next round, the second at once.
+
+The iteration under way is given up; the checkpoint is the last whole one (docs/decisions/0008).
+"""
 
 import logging
 import os

@@ -108,7 +108,10 @@ class Episodes:
         self._actions = list(actions)
         reached = self.obs
         for action in actions:
-            reached = self.adapter.obs(self.env.step(self.adapter.to_env(action))[0])
+            try:
+                reached = self.adapter.obs(self.env.step(self.adapter.to_env(action))[0])
+            except Exception as error:  # an environment may raise anything
+                raise self._failed(f"raised {type(error).__name__}: {error}") from error
         if not np.array_equal(reached, obs):
             log.warning(
                 "slot %d, environment %d: replaying %d actions ended in another observation; the "

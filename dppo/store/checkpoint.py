@@ -63,7 +63,7 @@ def save_checkpoint(folder: Path, name: str, checkpoint: Checkpoint) -> Path:
     """
     folder.mkdir(parents=True, exist_ok=True)
     draft, final = folder / f".{name}.{os.getpid()}", folder / name
-    raw = save(checkpoint.arrays)
+    raw = save({name: np.ascontiguousarray(array) for name, array in checkpoint.arrays.items()})
     manifest = {
         "format": FORMAT,
         "arrays_sha256": hashlib.sha256(raw).hexdigest(),

@@ -138,8 +138,10 @@ def read_config(path: Path) -> Config:
             f"{path} is not a readable config file (JSON or TOML): {error}"
         ) from error
     try:
+        if isinstance(values, dict):
+            values = values.get("config", values)
         if not isinstance(values, dict):
             raise ValueError(f"found a {type(values).__name__}, expected tables such as [run]")
-        return Config.from_dict(values.get("config", values))
+        return Config.from_dict(values)
     except ValueError as error:
         raise UsageError(f"{path} is not a config file: {error}") from error

@@ -91,7 +91,7 @@ def _header(frame: Frame) -> tuple[type[Message], list[Any]]:
     except Exception as error:  # msgpack raises a dozen kinds; all mean the same here
         raise WireError(f"a header is not msgpack: {error}") from error
     match header:
-        case [int(version), str(name), list(values)]:
+        case [int(version), str(name), list(values)] if version is not True:
             pass
         case _:
             raise WireError("a header is not [version, message name, field values]")

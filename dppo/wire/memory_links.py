@@ -3,19 +3,18 @@
 import queue
 from dataclasses import dataclass, field
 
-from dppo.wire.codec import Frame, decode, encode
-from dppo.wire.links import LearnerLost, WorkerLost
+from dppo.wire.codec import encode
+from dppo.wire.inbox import Inbox, next_event
+from dppo.wire.links import LearnerLost, Refused, WorkerLost
 from dppo.wire.messages import ToLearner, ToWorker
-
-_Inbox = queue.SimpleQueue[Frame | WorkerLost | LearnerLost]
 
 
 @dataclass(slots=True)
 class MemoryHub:
     """Where the ends meet: `hub.learner()` once, `hub.worker(name)` for each worker."""
 
-    _to_learner: _Inbox = field(default_factory=queue.SimpleQueue)
-    _to_workers: dict[str, _Inbox] = field(default_factory=dict)
+    _to_learner: Inbox = field(default_factory=queue.SimpleQueue)
+    _to_workers: dict[str, Inbox] = field(default_factory=dict)
 
     def learner(self) -> "MemoryLearnerLink":
         """The learner's end."""
@@ -23,34 +22,33 @@ class MemoryHub:
 
     def worker(self, name: str) -> "MemoryWorkerLink":
         """One worker's end."""
-        inbox: _Inbox = queue.SimpleQueue()
+        inbox: Inbox = queue.SimpleQueue()
         self._to_workers[name] = inbox
-        return MemoryWorkerLink(inbox, self._to_learner)
+        return MemoryWorkerLink(name, inbox, self)
 
     def lose(self, name: str) -> None:
         """The worker's connection breaks: both ends are told."""
-        self._to_workers.pop(name).put(LearnerLost())
-        self._to_learner.put(WorkerLost(name))
+        inbox = self._to_workers.pop(name, None)
+        if inbox is not None:
+            inbox.put(LearnerLost())
+            self._to_learner.put(WorkerLost(name))
 
-
-def _next(inbox: _Inbox, timeout: float) -> Frame | WorkerLost | LearnerLost | None:
-    try:
-        return inbox.get(timeout=timeout) if timeout > 0 else inbox.get_nowait()
-    except queue.Empty:
-        return None
+    def to_learner(self, message: ToLearner) -> None:
+        """A worker's message, on its way."""
+        self._to_learner.put(encode(message))
 
 
 @dataclass(slots=True)
 class MemoryLearnerLink:
     """A `LearnerLink`."""
 
-    _inbox: _Inbox
-    _workers: dict[str, _Inbox]
+    _inbox: Inbox
+    _workers: dict[str, Inbox]
 
-    def receive(self, timeout: float) -> ToLearner | WorkerLost | None:
+    def receive(self, timeout: float) -> ToLearner | WorkerLost | Refused | None:
         """See `LearnerLink`."""
-        event = _next(self._inbox, timeout)
-        return decode(event) if isinstance(event, Frame) else event  # type: ignore[return-value]
+        event: ToLearner | WorkerLost | Refused | None = next_event(self._inbox, timeout)
+        return event
 
     def send(self, worker: str, message: ToWorker) -> None:
         """See `LearnerLink`."""
@@ -67,17 +65,19 @@ class MemoryLearnerLink:
 class MemoryWorkerLink:
     """A `WorkerLink`."""
 
-    _inbox: _Inbox
-    _to_learner: _Inbox
+    _name: str
+    _inbox: Inbox
+    _hub: MemoryHub
 
-    def receive(self, timeout: float) -> ToWorker | LearnerLost | None:
+    def receive(self, timeout: float) -> ToWorker | LearnerLost | Refused | None:
         """See `WorkerLink`."""
-        event = _next(self._inbox, timeout)
-        return decode(event) if isinstance(event, Frame) else event  # type: ignore[return-value]
+        event: ToWorker | LearnerLost | Refused | None = next_event(self._inbox, timeout)
+        return event
 
     def send(self, message: ToLearner) -> None:
         """See `WorkerLink`."""
-        self._to_learner.put(encode(message))
+        self._hub.to_learner(message)
 
     def close(self) -> None:
         """See `WorkerLink`."""
+        self._hub.lose(self._name)

@@ -25,15 +25,14 @@ os.environ.setdefault("ZENOH_RUNTIME", "(tx: (worker_threads: 4), rx: (worker_th
 
 import zenoh
 
-from dppo.errors import UsageError, WireError
-from dppo.wire.codec import Frame, decode, encode
+from dppo.errors import UsageError
+from dppo.wire.codec import Frame, encode
+from dppo.wire.inbox import Inbox, next_event
 from dppo.wire.links import LearnerLost, Refused, WorkerLost
 from dppo.wire.messages import ToLearner, ToWorker
 
 BASE = "dppo/v1"
 _CLOSE_SECONDS = 3.0
-_Item = Frame | WorkerLost | LearnerLost
-_Inbox = queue.SimpleQueue[_Item]
 
 
 def _config(mode: str, endpoints: dict[str, Any]) -> zenoh.Config:
@@ -139,7 +138,7 @@ class _End:
     def __init__(self, session: zenoh.Session) -> None:
         zenoh.init_log_from_env_or("error")
         self._session = session
-        self._inbox: _Inbox = queue.SimpleQueue()
+        self._inbox: Inbox = queue.SimpleQueue()
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._kept: list[object] = []  # an entity is undeclared when nobody refers to it
 
@@ -174,18 +173,6 @@ class _End:
         frame = encode(message)
         self._publishers[key].put(zenoh.ZBytes(frame.body), attachment=frame.header)
 
-    def _next(self, timeout: float) -> Any:  # noqa: ANN401  narrowed by the two ends
-        try:
-            item = self._inbox.get(timeout=timeout) if timeout > 0 else self._inbox.get_nowait()
-        except queue.Empty:
-            return None
-        if not isinstance(item, Frame):
-            return item
-        try:
-            return decode(item)
-        except WireError as error:
-            return Refused(str(error))
-
     def close(self) -> None:
         """Close the session; give up waiting for it after three seconds."""
 
@@ -209,7 +196,7 @@ class ZenohLearnerLink(_End):
 
     def receive(self, timeout: float) -> ToLearner | WorkerLost | Refused | None:
         """See `LearnerLink`."""
-        item: ToLearner | WorkerLost | Refused | None = self._next(timeout)
+        item: ToLearner | WorkerLost | Refused | None = next_event(self._inbox, timeout)
         if isinstance(item, WorkerLost):
             self._publishers.pop(f"{BASE}/p/{item.worker}", None)
         return item
@@ -231,7 +218,7 @@ class ZenohWorkerLink(_End):
 
     def receive(self, timeout: float) -> ToWorker | LearnerLost | Refused | None:
         """See `WorkerLink`."""
-        item: ToWorker | LearnerLost | Refused | None = self._next(timeout)
+        item: ToWorker | LearnerLost | Refused | None = next_event(self._inbox, timeout)
         return item
 
     def send(self, message: ToLearner) -> None:

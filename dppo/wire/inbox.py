@@ -1,0 +1,24 @@
+"""The queue behind a link: frames and losses in, messages out."""
+
+import queue
+from typing import Any
+
+from dppo.errors import WireError
+from dppo.wire.codec import Frame, decode
+from dppo.wire.links import LearnerLost, Refused, WorkerLost
+
+Inbox = queue.SimpleQueue[Frame | WorkerLost | LearnerLost]
+
+
+def next_event(inbox: Inbox, timeout: float) -> Any:  # noqa: ANN401  the link's end narrows it
+    """The next message, loss or refusal; None after `timeout` seconds of silence."""
+    try:
+        item = inbox.get(timeout=timeout) if timeout > 0 else inbox.get_nowait()
+    except queue.Empty:
+        return None
+    if not isinstance(item, Frame):
+        return item
+    try:
+        return decode(item)
+    except WireError as error:
+        return Refused(str(error))

@@ -1,0 +1,45 @@
+"""Load the policy that a run has left and play one episode with it.
+
+    dppo-learner --env InvertedPendulum-v5 --total-timesteps 50000 --run-dir runs/pendulum
+    python examples/load_a_policy.py runs/pendulum
+
+`dppo eval RUN` does the same for many episodes and prints mean, spread and tail.
+"""
+
+import sys
+from pathlib import Path
+
+from dppo.config import Config
+from dppo.store.checkpoint import best_name, load_checkpoint, names
+from workers.envs import Adapter, make_env, quiet
+from workers.evaluate import FrozenPolicy
+
+
+def main(run: Path) -> None:
+    quiet()
+    folder = run / "checkpoints"
+    found = names(folder)
+    if not found:
+        sys.exit(f"{run} holds no checkpoint; expected a run directory of dppo-learner")
+    name = best_name(folder) or found[-1]
+    checkpoint = load_checkpoint(folder / name)  # verifies its checksums
+
+    env = make_env(Config.from_dict(checkpoint.facts["config"]).run)
+    policy = FrozenPolicy(checkpoint, env)
+    adapter = Adapter(env.observation_space, env.action_space)
+    print(f"{name} of {run}: trained for {checkpoint.facts['env_steps']} steps")
+
+    observation, _ = env.reset(seed=0)
+    score, steps, over = 0.0, 0, False
+    while not over:
+        # without a generator: the most likely action; with one: a sampled action
+        action = policy.act(adapter.obs(observation), steps, None)
+        observation, reward, terminated, truncated, _ = env.step(adapter.to_env(action))
+        score, steps, over = score + float(reward), steps + 1, terminated or truncated
+    print(f"one episode: {steps} steps, return {score:.1f}")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit("usage: python examples/load_a_policy.py RUN_DIRECTORY")
+    main(Path(sys.argv[1]))
