@@ -280,18 +280,12 @@ def test_pruning_keeps_the_newest_and_the_best(tmp_path):
     assert best_name(tmp_path) == name_of(2)
 
 
-@pytest.mark.parametrize("keep", [0, 1])
-def test_pruning_always_keeps_one(tmp_path, keep):
+@pytest.mark.parametrize(("keep", "left"), [(0, [2]), (1, [2]), (5, [1, 2])])
+def test_pruning_always_keeps_one_and_never_more_than_there_are(tmp_path, keep, left):
     for iteration in (1, 2):
         save(tmp_path, iteration)
     prune(tmp_path, keep)
-    assert names(tmp_path) == [name_of(2)]
-
-
-def test_pruning_few_removes_none(tmp_path):
-    save(tmp_path, 1)
-    prune(tmp_path, 3)
-    assert names(tmp_path) == [name_of(1)]
+    assert names(tmp_path) == [name_of(iteration) for iteration in left]
 
 
 @pytest.mark.parametrize("text", [None, "", "[]", "{}", '{"name": 3}', '{"name": "iteration-9"}'])
