@@ -63,8 +63,8 @@ def learning_rate_factor(config: Config, iteration: int) -> float:
 def adapt_servo(servo: float, beta: float, kl: float, config: KlConfig) -> float:
     """The paper's baseline: the policy's step size follows when β is near a clamp.
 
-    β above 30/35 of its upper clamp while KL is too large: divided by 1.5, down to 0.1;
-    below 35/30 of its lower clamp while KL is too small: times 1.5, up to 10.
+    β above 30/35 of its upper clamp while KL is too large: divided by 1.5 while above 0.1;
+    below 35/30 of its lower clamp while KL is too small: times 1.5 while below 10.
     """
     too_far = kl > config.kl_high * config.kl_target and beta > config.kl_coef_max * 30 / 35
     too_near = kl < config.kl_low * config.kl_target and beta < config.kl_coef_min * 35 / 30

@@ -171,6 +171,9 @@ class Exchange:
 
     def _fail(self, failure: Failure) -> None:
         """An environment failed: the same would happen on every other worker."""
+        known = failure.worker in self.roster
+        if not known or failure.generation != self._welcome.generation:
+            return
         if not failure.usage:
             raise RunFailedError(f"{failure.reason}; {self.roster.describe(failure.worker)}")
         if self.roster.first is None:

@@ -149,7 +149,9 @@ def best_name(folder: Path) -> str | None:
 
 
 def prune(folder: Path, keep: int) -> None:
-    """Delete all but the newest `keep` checkpoints and the best."""
+    """Delete all but the newest `keep` checkpoints and the best, and what was never finished."""
+    for draft in folder.glob(".iteration-*"):  # of a learner that was killed while saving
+        shutil.rmtree(draft, ignore_errors=True)
     best = best_name(folder)
     for name in names(folder)[: -max(keep, 1)]:
         if name != best:

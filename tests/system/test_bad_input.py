@@ -44,6 +44,7 @@ def test_the_learner_refuses(harness, args, words):
     refuses(harness.start("learner", *TINY, *args), *words)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("args", "words"),
     [
@@ -91,6 +92,7 @@ def test_the_worker_refuses(harness, args, words):
     refuses(harness.start("workers", *args), *words)
 
 
+@pytest.mark.slow
 def test_a_run_directory_of_another_config_is_refused_with_the_differences(harness):
     run_dir = harness.folder / "run"
     harness.train(*TINY, "--total-timesteps", "512", "--local-workers", "1", run_dir=run_dir)
@@ -102,6 +104,7 @@ def test_a_run_directory_of_another_config_is_refused_with_the_differences(harne
     refuses(never, "holds a run and --resume is never")
 
 
+@pytest.mark.slow
 def test_a_corrupt_checkpoint_falls_back_and_says_so(harness):
     args = (*TINY, "--total-timesteps", "3072", "--checkpoint-every", "2", "--local-workers", "1")
     whole = harness.train(*args, run_dir=harness.folder / "whole")
@@ -119,6 +122,7 @@ def test_a_corrupt_checkpoint_falls_back_and_says_so(harness):
     assert outcome["parameters_sha256"] == whole["parameters_sha256"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("env", "words"),
     [
@@ -139,6 +143,7 @@ def test_an_environment_that_fails_on_the_way_is_named(harness, env, words):
     assert json.loads((run_dir / "result.json").read_text())["status"] == "failed"
 
 
+@pytest.mark.slow
 def test_nothing_is_left_running_after_a_refusal(harness):
     learner = harness.learner(*TINY, "--local-workers", "2", run_dir=harness.folder / "run")
     wait_until(lambda: iterations(harness.folder / "run") >= 1, "an iteration")

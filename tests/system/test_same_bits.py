@@ -107,6 +107,7 @@ def test_switches_keep_the_same_bits(harness, args):
     assert len(hashes) == 1
 
 
+@pytest.mark.slow
 def test_the_wheel_of_time_does_not_matter(harness):
     """One worker is nice'd to crawl: arrivals come in another order, bits do not change."""
     fast = sha(harness, "fast", env="CartPole-v1", workers=2)
