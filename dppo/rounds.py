@@ -22,7 +22,7 @@ class RoundId:
     generation: int
     """Incarnation of the learner: +1 at every start on the same run directory."""
     iteration: int
-    step: int
+    round: int
     """0 collect, 1 + u update u, 1 + updates: measure."""
 
 

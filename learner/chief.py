@@ -81,7 +81,7 @@ class Chief:
                 Update(
                     generation=self._generation,
                     iteration=self.state.iteration,
-                    step=1 + update,
+                    round=1 + update,
                     slots=self._slots,
                     stopped=tuple(sorted(stopped)),
                     parameters=self._parameters,
@@ -95,7 +95,7 @@ class Chief:
             Measure(
                 generation=self._generation,
                 iteration=self.state.iteration,
-                step=1 + updates,
+                round=1 + updates,
                 slots=self._slots,
                 parameters=self._parameters,
             ),
@@ -122,7 +122,7 @@ class Chief:
         collect = Collect(
             generation=self._generation,
             iteration=state.iteration,
-            step=0,
+            round=0,
             slots=self._slots,
             psi=psi,
             beta=state.beta,
@@ -137,7 +137,7 @@ class Chief:
         return [cast("Collected", answers[slot, 1]) for slot in self._slots]
 
     def _apply(self, gradients: Round[Answer], training: Training) -> set[int]:
-        """Average the accepted gradients, clip, one Adam step per network; slots that stop."""
+        """Average the accepted gradients, clip, one Adam update per network; slots that stop."""
         answers = cast("dict[tuple[int, int], Gradient]", gradients.answers)
         root = whole(self._config.rollout.slots)
         vector = block_sum({block: answer.vector for block, answer in answers.items()}, root)
@@ -220,7 +220,7 @@ class Chief:
             self._ledger(
                 DroppedGradients(
                     iteration=gradients.id.iteration,
-                    update=gradients.id.step - 1,
+                    update=gradients.id.round - 1,
                     dropped=gradients.missing,
                 )
             )

@@ -91,7 +91,7 @@ class Exchange:
     def gather(self, task: Task, quorum: int) -> Round[Answer]:
         """Ask all slots, wait until the quorum is in, take what else is there; the round."""
         self._look_after()
-        round_id = RoundId(task.generation, task.iteration, task.step)
+        round_id = RoundId(task.generation, task.iteration, task.round)
         self._task, self._round = task, Round(round_id, task.slots, quorum)
         for worker in list(self._leases.workers):
             self._ask(worker, self._leases.slots_of(worker))
@@ -214,7 +214,7 @@ class Exchange:
         aligned = size > 0 and size & (size - 1) == 0 and first % size == 0
         if not aligned or answer.worker not in self.roster:
             return
-        round_id = RoundId(answer.generation, answer.iteration, answer.step)
+        round_id = RoundId(answer.generation, answer.iteration, answer.round)
         self._settle(answer, round_id, range(first, first + min(size, self._leases.num_slots)))
         if self._round is None or self._task is None or round_id != self._round.id:
             return
@@ -258,8 +258,8 @@ class Exchange:
             first, size = _block(answer)
             raise RunFailedError(
                 f"slots {first} to {first + size - 1} on {who} sent a "
-                f"{type(answer).__name__} that is not finite, iteration {answer.iteration}, step "
-                f"{answer.step}; lower --learning-rate or look at the rewards' scale"
+                f"{type(answer).__name__} that is not finite, iteration {answer.iteration}, round "
+                f"{answer.round}; lower --learning-rate or look at the rewards' scale"
             )
         return True
 
@@ -270,9 +270,10 @@ class Exchange:
         if not self._leases.workers:
             return f"iteration {self._round.id.iteration}: waiting for any worker"
         holders = sorted({self._leases.holder.get(slot, "nobody") for slot in missing})
+        here = self._round.id
         return (
-            f"iteration {self._round.id.iteration}, step {self._round.id.step}: waiting for slots "
-            f"{list(missing)} of {', '.join(holders)}"
+            f"iteration {here.iteration}, round {here.round}: waiting for slots {list(missing)} "
+            f"of {', '.join(holders)}"
         )
 
 

@@ -4,12 +4,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from dppo.process import one_thread
 
 one_thread()
 
 from tests.support import Harness  # noqa: E402  after the threads
+
+# The same examples every time, and no example fails for being slow on a busy machine.
+settings.register_profile("steady", derandomize=True, deadline=None)
+settings.load_profile("steady")
 
 
 @pytest.fixture

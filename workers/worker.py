@@ -120,7 +120,7 @@ class Worker:
                     worker=self._name,
                     generation=task.generation,
                     iteration=task.iteration,
-                    step=task.step,
+                    round=task.round,
                     slot=index,
                     obs=facts.obs.to_vector(),
                     returns=facts.returns.to_vector(),
@@ -146,7 +146,7 @@ class Worker:
                     worker=self._name,
                     generation=task.generation,
                     iteration=task.iteration,
-                    step=task.step,
+                    round=task.round,
                     first=first,
                     size=size,
                     stopped=tuple(compress(members(block), skips)),
@@ -172,7 +172,7 @@ class Worker:
                     self._config.safety,
                 )
             stored = len(lesson.experience.critic_obs)
-            rows = Minibatch.of(self._config, index, task.iteration, task.step - 1, stored)
+            rows = Minibatch.of(self._config, index, task.iteration, task.round - 1, stored)
             if index in task.stopped:
                 rows = Minibatch(policy=None, critics=rows.critics)
             lessons.append(lesson)
@@ -198,7 +198,7 @@ class Worker:
                     worker=self._name,
                     generation=task.generation,
                     iteration=task.iteration,
-                    step=task.step,
+                    round=task.round,
                     slot=index,
                     kl=facts.kl,
                     weight=facts.kl_weight,

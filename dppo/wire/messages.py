@@ -14,7 +14,7 @@
       | <------------------------- Stop -- |   with a reason
       | -- Failure ----------------------> |   a slot or an environment that cannot go on
 
-Answers repeat the (generation, iteration, step) of the question; others are ignored. Any message
+Answers repeat the (generation, iteration, round) of the question; others are ignored. Any message
 but Hello may be lost with its connection: the learner then leases the slots anew, the worker says
 Hello again. There is no acknowledgement: the answer is one.
 """
@@ -71,13 +71,13 @@ class Collected:
     """A slot has run its T steps.
 
     Example:
-        Collected(worker="w-3f2a", generation=1, iteration=0, step=0, slot=3, ...)
+        Collected(worker="w-3f2a", generation=1, iteration=0, round=0, slot=3, ...)
     """
 
     worker: str
     generation: int
     iteration: int
-    step: int
+    round: int
     slot: int
     obs: Float64  # moments [1 + 2 O] of the raw observations
     returns: Float64  # moments [3] of the running discounted return
@@ -95,13 +95,13 @@ class Gradient:
     """The sum of the gradients of an aligned block of slots.
 
     Example:
-        Gradient(worker="w-3f2a", generation=1, iteration=0, step=1, first=4, size=4, ...)
+        Gradient(worker="w-3f2a", generation=1, iteration=0, round=1, first=4, size=4, ...)
     """
 
     worker: str
     generation: int
     iteration: int
-    step: int
+    round: int
     first: int
     size: int
     stopped: tuple[int, ...]
@@ -115,13 +115,13 @@ class Measured:
     """KL[π_old‖π] of one slot after the iteration's updates.
 
     Example:
-        Measured(worker="w-3f2a", generation=1, iteration=0, step=81, slot=3, kl=5.2, weight=512.0)
+        Measured(worker="w-3f2a", generation=1, iteration=0, round=81, slot=3, ...)
     """
 
     worker: str
     generation: int
     iteration: int
-    step: int
+    round: int
     slot: int
     kl: float
     """Sum over samples [nats]."""
@@ -177,12 +177,12 @@ class Collect:
     """Run the policy for T steps on each of `slots`.
 
     Example:
-        Collect(generation=1, iteration=4, step=0, slots=(0, 1), psi=0.1, beta=1.0, ...)
+        Collect(generation=1, iteration=4, round=0, slots=(0, 1), psi=0.1, beta=1.0, ...)
     """
 
     generation: int
     iteration: int
-    step: int
+    round: int
     slots: tuple[int, ...]
     psi: float
     beta: float
@@ -194,15 +194,15 @@ class Collect:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Update:
-    """Compute the gradient of update `step - 1` on each of `slots`.
+    """Compute the gradient of update `round - 1` on each of `slots`.
 
     Example:
-        Update(generation=1, iteration=4, step=1, slots=(0, 1), stopped=(), ...)
+        Update(generation=1, iteration=4, round=1, slots=(0, 1), stopped=(), ...)
     """
 
     generation: int
     iteration: int
-    step: int
+    round: int
     slots: tuple[int, ...]
     stopped: tuple[int, ...]
     """Slots whose policy updates are over for this iteration."""
@@ -215,12 +215,12 @@ class Measure:
     """Measure KL[π_old‖π] on each of `slots`.
 
     Example:
-        Measure(generation=1, iteration=4, step=81, slots=(0, 1), parameters=...)
+        Measure(generation=1, iteration=4, round=81, slots=(0, 1), parameters=...)
     """
 
     generation: int
     iteration: int
-    step: int
+    round: int
     slots: tuple[int, ...]
     parameters: Float32  # [P]
 

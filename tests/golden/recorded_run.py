@@ -170,7 +170,7 @@ def record(config):
                 answered,
                 collect,
                 updates,
-                [[g for g in gradients if g.step == u.step] for u in updates],
+                [[g for g in gradients if g.round == u.round] for u in updates],
                 [u.parameters for u in updates] + measured or [collect.parameters],
                 [],
             )

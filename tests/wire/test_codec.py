@@ -15,7 +15,7 @@ from dppo.wire import messages
 from dppo.wire.codec import MAX_BODY, MAX_HEADER, VERSION, Frame, decode, encode
 from dppo.wire.messages import Message
 
-PLACE = {"generation": 1, "iteration": 4, "step": 2}
+PLACE = {"generation": 1, "iteration": 4, "round": 2}
 WIDE = np.array([0.5, -0.0, math.inf, math.nan, 5e-324])
 NARROW = np.array([1.5, -0.0, math.nan], np.float32)
 EMPTY = np.empty(0)

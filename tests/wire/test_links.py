@@ -130,7 +130,7 @@ def test_messages_keep_their_order_both_ways(wire):
 def test_a_megabyte_arrives_whole(wire):
     worker = met(wire, "w1")
     vector = np.random.default_rng(0).standard_normal(1 << 18).astype(np.float32)
-    sent = Measure(generation=1, iteration=0, step=1, slots=(0,), parameters=vector)
+    sent = Measure(generation=1, iteration=0, round=1, slots=(0,), parameters=vector)
     wire.learner.send("w1", sent)
     found = until(worker, lambda e: isinstance(e, Measure))
     assert found.parameters.tobytes() == vector.tobytes()
