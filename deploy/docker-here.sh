@@ -127,6 +127,7 @@ announce() {
 setup() {
     if engine_answers && ! our_pid >/dev/null; then
         say "a Docker engine already answers here, nothing was done"
+        if [ "$(id -u)" = 0 ]; then printf 'export DPPO_REQUIRE_DOCKER=1\n'; fi
         return
     fi
     check_machine

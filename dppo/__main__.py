@@ -33,8 +33,8 @@ class EvalArgs:
         """Refuse what cannot be run."""
         if self.episodes < 1:
             raise ValueError(f"--episodes is {self.episodes}, expected >= 1")
-        if self.seed < 0:
-            raise ValueError(f"--seed is {self.seed}, expected >= 0")
+        if not 0 <= self.seed < 2**63:
+            raise ValueError(f"--seed is {self.seed}, expected 0 <= seed < 2**63")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,8 @@ class AdamState:
 
     mean: Float32  # [P]  m
     square: Float32  # [P]  v
-    steps: int
-    """Updates so far."""
+    updates: int
+    """How many so far."""
 
     @classmethod
     def zero(cls, size: int) -> "AdamState":
@@ -37,19 +37,19 @@ def adam(
     Args:
         state: before it.
         gradient: [P] of a loss that is minimised.
-        rate: step size, or [P] step sizes.
+        rate: learning rate, or [P] learning rates.
         beta1, beta2, eps: as in the paper.
 
     Returns:
         The new state, and [P] what to add to the parameters.
     """
-    steps = state.steps + 1
+    updates = state.updates + 1
     mean = np.float32(beta1) * state.mean + np.float32(1 - beta1) * gradient
     square = np.float32(beta2) * state.square + np.float32(1 - beta2) * (gradient * gradient)
-    unbiased = mean / np.float32(1 - beta1**steps)
-    scale = np.sqrt(square / np.float32(1 - beta2**steps)) + np.float32(eps)
+    unbiased = mean / np.float32(1 - beta1**updates)
+    scale = np.sqrt(square / np.float32(1 - beta2**updates)) + np.float32(eps)
     change = -np.asarray(rate, np.float32) * (unbiased / scale)
-    return AdamState(mean, square, steps), change.astype(np.float32, copy=False)
+    return AdamState(mean, square, updates), change.astype(np.float32, copy=False)
 
 
 def clipped(gradient: Float32, max_norm: float) -> tuple[Float32, float]:

@@ -63,7 +63,7 @@ class DiagonalGaussian:
     def kl_gradient(
         self, old: Float32, old_log_std: Float32, output: Float32, log_std: Float32
     ) -> Gradient:
-        """∂KL/∂ mean = −shift / std,  ∂KL/∂ log std = 1 − shift² − (σ_old/σ)²."""
+        """∂KL/∂ mean = −shift / std,  ∂KL/∂ log std = 1 − shift² − (std_old / std)²."""
         inverse = np.exp(-log_std)
         shift = (old - output) * inverse
         return -shift * inverse, 1 - shift * shift - np.exp(2 * (old_log_std - log_std))

@@ -52,6 +52,11 @@ class Sums:
         return cls(**dict(zip(_COLUMN, map(float, vector), strict=True)))
 
     @property
+    def is_skip(self) -> bool:
+        """The policy part is a skip token: KL measured, no gradient."""
+        return self.kl_weight > self.policy_weight
+
+    @property
     def mean_kl(self) -> float:
         """Mean KL[π_old‖π] over samples [nats]."""
         return self.kl / self.kl_weight if self.kl_weight else 0.0

@@ -23,7 +23,6 @@ from dppo.streams import stream
 
 Float32 = NDArray[np.float32]
 Network = Literal["policy", "value", "variance"]
-NETWORKS: tuple[Network, ...] = ("policy", "value", "variance")
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,10 +172,14 @@ class Networks:
         return vector
 
     def log_std_rate(self, config: NetworkConfig) -> float:
-        """Learning-rate factor of log std; the paper's recipe derives it from the layer sizes."""
+        """Learning-rate factor of log std.
+
+        The paper's baseline moves log *variance* (10 h3) // 48 times as fast as the rest; log std
+        is half of that.
+        """
         if config.log_std_rate > 0:
             return config.log_std_rate
-        return float((10 * self.policy.sizes[-2]) // 48)
+        return ((10 * self.policy.sizes[-2]) // 48) / 2
 
 
 def _hidden(config: NetworkConfig, obs: int, last: int) -> tuple[int, ...]:

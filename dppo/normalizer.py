@@ -75,4 +75,8 @@ class Statistics:
 
     def sigma_scale(self, config: Config) -> float:
         """What the variance network's output is multiplied by, in (c · reward)²."""
-        return float(self.sigma_target.std(floor=1e-12)[0]) * self.reward_scale(config) ** 2
+        return float(self.sigma_target.std(floor=1e-12)[0]) * self.sigma_unit(config)
+
+    def sigma_unit(self, config: Config) -> float:
+        """σ in the trainer's units from σ in raw reward²: c², or 1 if raw rewards feed δ."""
+        return 1.0 if config.returns.delta_reward == "raw" else self.reward_scale(config) ** 2

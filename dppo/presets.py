@@ -49,7 +49,7 @@ def paper(env: str) -> Config:
         update=replace(
             base.update, learning_rate=policy_rate, critic_learning_rate=critic_rate,
             lr_schedule="servo", update_epochs=20, num_minibatches=1,
-            critic_epochs=10, critic_minibatches=20 if few else 100,
+            critic_epochs=10, critic_minibatches=40 if few else 125,
             critic_replay=True, max_grad_norm=float("inf"), adam_eps=1e-8,
         ),
         kl=replace(base.kl, kl_target=0.003),

@@ -83,7 +83,7 @@ def prepare(
     config: Config,
 ) -> tuple[Experience, Replay, CriticFacts]:
     """Advantages, targets and π_old of a rollout, from the parameters that collected it."""
-    scale = statistics.reward_scale(config)
+    scale, unit = statistics.reward_scale(config), statistics.sigma_unit(config)
     obs = rollout.obs.reshape(-1, rollout.obs.shape[-1])
     action = rollout.action.reshape(len(obs), -1)
     policy, log_std = networks.split_policy(parameters)
@@ -94,12 +94,12 @@ def prepare(
     a_v, a_sigma = value[1].advantage.ravel(), variance.advantage.ravel()
     v_target, sigma_target = value[1].target.ravel(), variance.target.ravel()
 
-    kept = Replay(obs=obs, v_target=v_target / scale, sigma_target=sigma_target / scale**2)
+    kept = Replay(obs=obs, v_target=v_target / scale, sigma_target=sigma_target / unit)
     critic_obs = obs
     if replay is not None:
         critic_obs = np.concatenate([obs, replay.obs])
         v_target = np.concatenate([v_target, replay.v_target * scale])
-        sigma_target = np.concatenate([sigma_target, replay.sigma_target * scale**2])
+        sigma_target = np.concatenate([sigma_target, replay.sigma_target * unit])
     experience = Experience(
         obs=obs,
         action=action,
@@ -112,7 +112,7 @@ def prepare(
         sigma_target=(sigma_target / statistics.sigma_scale(config)).astype(np.float32),
         critic_obs=critic_obs,
     )
-    raw_sigma = sigma / scale**2
+    raw_sigma = sigma / unit
     residual = value[1].target - v
     facts = CriticFacts(
         advantages=AdvantageStatistics.of(a_v, a_sigma, psi),

@@ -132,9 +132,9 @@ class SafetyConfig:
     variance_limit: float = math.inf
     """Bound on the mean of σ(s_0); ψ follows by dual steps from psi; inf: none [reward²]."""
     variance_limit_rate: float = 0.05
-    """Size of a dual step, per iteration and unit of relative violation."""
+    """Change of ψ per iteration and unit of relative violation [units of ψ]."""
     adv_norm: Literal["separate", "joint", "none"] = "separate"
-    """How A_V and A_σ meet: each standardised (unit of ψ: 1), their sum (1/reward), or raw."""
+    """How A_V and A_σ meet: each standardised [ψ: 1], their sum, or raw [ψ: 1/scaled reward]."""
     sigma_head: Literal["softplus", "linear"] = "softplus"
     """Output of the variance network: positive by construction, or (paper) linear."""
     variance_critic: bool = True
@@ -167,11 +167,11 @@ class UpdateConfig:
     """The updates of one iteration: M of the policy, B of the critics."""
 
     learning_rate: float = 3e-4
-    """Adam step size of the policy."""
+    """α_θ: Adam learning rate of the policy [1 per update]."""
     critic_learning_rate: float = 1e-3
-    """Adam step size of the value and the variance network."""
+    """α_c: Adam learning rate of V and σ [1 per update]."""
     lr_schedule: Literal["linear", "constant", "servo"] = "linear"
-    """Both step sizes: linear to 0, constant, or (paper) the policy's follows β at its bounds."""
+    """Both learning rates: linear to 0, constant, or (paper) the policy's follows β."""
     update_epochs: int = 10
     """Passes over the iteration's data; M = update_epochs x num_minibatches [count]."""
     num_minibatches: int = 8
@@ -183,9 +183,9 @@ class UpdateConfig:
     critic_replay: bool = False
     """(paper) V and σ also fit the previous iteration's samples."""
     max_grad_norm: float = 0.5
-    """Largest norm of each network's averaged gradient; inf: no bound."""
+    """Largest norm of each network's averaged gradient [L2]; inf: no bound."""
     adam_eps: float = 1e-5
-    """ε of Adam."""
+    """ε: of Adam [gradient]."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
@@ -264,7 +264,7 @@ class NetworkConfig:
     """Separate tanh networks for policy, value and variance."""
 
     hidden_sizes: tuple[int, ...] = (64, 64)
-    """Hidden units per layer; ignored in architecture paper."""
+    """Hidden units of each layer [count]; ignored in architecture paper."""
     architecture: Literal["mlp", "paper"] = "mlp"
     """Sizes: hidden_sizes, or (paper) 10 O, geometric mean, 10 A (5 for the critics)."""
     init: Literal["orthogonal", "fan-in"] = "orthogonal"
@@ -272,7 +272,7 @@ class NetworkConfig:
     log_std_init: float = -0.5
     """Initial log of the Gaussian policy's std, per action dimension [nats]."""
     log_std_rate: float = 1.0
-    """Learning-rate factor of log std; -1: (paper) (10 h3) // 48."""
+    """Learning-rate factor of log std [1]; -1: (paper) half of (10 h3) // 48."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""

@@ -57,7 +57,7 @@ def tree_sum(parts: Mapping[Block, NDArray[Scalar]], block: Block) -> NDArray[Sc
 
 
 def block_sum(parts: Mapping[Block, NDArray[Scalar]], block: Block) -> NDArray[Scalar]:
-    """The sum of a block of which every slot is there."""
+    """The sum of a block of which at least one slot is there."""
     total = tree_sum(parts, block)
     if total is None:
         raise ValueError(f"no part of block {block} is among {sorted(parts)}")

@@ -1,5 +1,6 @@
 """`dppo-learner`: command line -> run directory, link, local workers -> session -> exit code."""
 
+import contextlib
 import socket
 import sys
 from dataclasses import dataclass, field
@@ -57,7 +58,8 @@ class ProcessArgs:
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        for name, least in (("local_workers", -1), ("checkpoint_every", 1)):
+        leasts = {"local_workers": -1, "checkpoint_every": 1, "keep_checkpoints": 1}
+        for name, least in leasts.items():
             if getattr(self, name) < least:
                 flag = name.replace("_", "-")
                 raise ValueError(f"--{flag} is {getattr(self, name)}, expected >= {least}")
@@ -140,9 +142,10 @@ def _run(session: "Session", signals: "StopSignals", folder: "RunDirectory", sto
     except Terminated:
         session.save()
         result = session.interrupted()
-        print("stopped; the same command with this --run-dir continues", flush=True)
+        print("stopped; the same command with this --run-dir continues" if result else "stopped")
     except RunFailedError as error:
-        session.save()
+        with contextlib.suppress(RunFailedError):  # the disk may be what failed
+            session.save()
         failed = session.interrupted()
         if failed is not None:
             folder.write_json("result.json", failed | {"status": "failed", "reason": str(error)})
@@ -173,7 +176,7 @@ def _announce(config: Config, path: Path, address: str, count: int) -> None:
     """The first lines: what runs where, and what psi means in it."""
     if address.startswith(("tcp/0.0.0.0:", "tcp/[::]:")):
         address = f"tcp/{socket.gethostname()}:{address.rpartition(':')[2]}"
-    unit = {"separate": "1", "joint": "1/reward", "none": "1/reward"}[config.safety.adv_norm]
+    unit = "1" if config.safety.adv_norm == "separate" else "1/scaled reward"
     print(
         f"training {config.run.env}: {config.iterations} iterations of "
         f"{config.rollout.samples} steps in {config.rollout.slots} slots, "
@@ -182,6 +185,8 @@ def _announce(config: Config, path: Path, address: str, count: int) -> None:
         f"run directory {path}; {count} local workers; others: dppo-worker --connect {address}",
         flush=True,
     )
+    if not config.rollout.exact_envs:
+        print("--no-exact-envs: after a loss or a resume this run is no longer exact", flush=True)
     if config.iterations == 1:
         print(
             "one iteration only fills the shared statistics: nothing will be learned", flush=True

@@ -17,20 +17,21 @@ class Roster:
     first: Ready | None = None
     """The first worker's report of the environment; all others must agree."""
     _hellos: dict[str, Hello] = field(default_factory=dict)
-    _numerics: str = ""
+    numerics: str = ""
+    """Fingerprint of the first worker's floating point, and its libraries."""
 
     def greet(self, hello: Hello) -> None:
         """Note a worker; warn if its floating point or its libraries are not the first one's."""
         numerics = f"{hello.numerics}, {hello.versions}"
-        self._numerics = self._numerics or numerics
-        if numerics != self._numerics:
+        self.numerics = self.numerics or numerics
+        if numerics != self.numerics:
             log.warning(
                 "worker %s on %s computes with (%s), the first worker with (%s): do not expect "
                 "the same bits as on one kind of machine",
                 hello.worker,
                 hello.host,
                 numerics,
-                self._numerics,
+                self.numerics,
             )
         self._hellos[hello.worker] = hello
 

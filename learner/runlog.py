@@ -74,12 +74,14 @@ class RunLog:
 
     def _scalars(self, env_steps: int, metrics: dict[str, float]) -> None:
         """To TensorBoard; x axis: environment steps. Imported late: it takes half a second."""
-        from tensorboard.compat.proto.event_pb2 import Event
+        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
         from tensorboard.compat.proto.summary_pb2 import Summary
         from tensorboard.summary.writer.event_file_writer import EventFileWriter
 
         if self._board is None:
             self._board = EventFileWriter(str(self._folder))
+            start = SessionLog(status=SessionLog.START)  # TensorBoard drops what was beyond it
+            self._board.add_event(Event(wall_time=time.time(), step=env_steps, session_log=start))
         values = [Summary.Value(tag=name, simple_value=value) for name, value in metrics.items()]
         self._board.add_event(
             Event(wall_time=time.time(), step=env_steps, summary=Summary(value=values))
@@ -98,4 +100,6 @@ def _cut(file: Path, iteration: int) -> None:
             break
         if row["iteration"] <= iteration:
             kept.append(line)
-    file.write_text("".join(line + "\n" for line in kept))
+    draft = file.with_name(f".{file.name}.draft")
+    draft.write_text("".join(line + "\n" for line in kept))
+    draft.rename(file)

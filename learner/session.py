@@ -7,9 +7,10 @@ from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from importlib.metadata import version
+from typing import Any
 
 from dppo.config import Config
-from dppo.errors import RunFailedError
+from dppo.errors import RunFailedError, UsageError
 from dppo.leases import Leases
 from dppo.networks import Networks
 from dppo.statistics import cvar
@@ -71,6 +72,7 @@ class Session:
             self.state = State.initial(networks, spaces.obs_size, self._config)
             self._write_config(networks)
         else:
+            self._check_environment()
             self.state = State.from_checkpoint(checkpoint)
             self._saved = self.state.iteration
             log.warning("resuming at iteration %d of %d", self._saved, self._config.iterations)
@@ -87,9 +89,10 @@ class Session:
 
     def save(self) -> None:
         """Make sure that the newest whole iteration is on the disk."""
+        self._await_saving()
         if self.state is not None and self._saved != self.state.iteration:
             self._save(self._judged())
-        self._await_saving()
+            self._await_saving()
 
     def interrupted(self) -> dict[str, object] | None:
         """After a signal: pause the workers; the contents of result.json, if anything was done."""
@@ -102,7 +105,7 @@ class Session:
             self.state, networks, self._config, self.generation, self._exchange, runlog.dropped
         )
         rounds = self._config.update.updates + 2
-        while self.state.iteration < self._config.iterations:
+        while self.state.iteration < self._config.iterations and self._env_steps < stop_at:
             begun = time.monotonic()
             report = chief.iterate()
             seconds = time.monotonic() - begun
@@ -113,10 +116,13 @@ class Session:
             due = self.state.iteration % self._every == 0
             if due or self.state.iteration == self._config.iterations:
                 self._save(self._judged())
-            if report.env_steps >= stop_at:
-                break
             chief.state = self.state
         self.save()
+
+    @property
+    def _env_steps(self) -> int:
+        """Environment steps of the run so far."""
+        return 0 if self.state is None else self.state.iteration * self._config.rollout.samples
 
     def _judged(self) -> State:
         """The state, with the highest mean return so far."""
@@ -130,7 +136,6 @@ class Session:
     def _save(self, state: State) -> None:
         """Save in the background; at most one at a time."""
         self._await_saving()
-        self._saved = state.iteration
         self._saving = self._disk.submit(self._write, state)
 
     def _await_saving(self) -> None:
@@ -162,8 +167,9 @@ class Session:
         if len(state.episodes) and state.episodes[:, 0].mean() >= state.best_mean:
             mark_best(folder, name, float(state.episodes[:, 0].mean()))
         prune(folder, self._keep)
+        self._saved = state.iteration
 
-    def _spaces(self) -> dict[str, object]:
+    def _spaces(self) -> dict[str, Any]:
         ready = self._exchange.roster.first
         assert ready is not None
         return {
@@ -172,24 +178,52 @@ class Session:
             "action_sizes": list(ready.action_sizes),
         }
 
-    def _write_config(self, networks: Networks) -> None:
+    def _facts(self) -> dict[str, Any]:
+        """What decides the bits besides settings and seed."""
         ready = self._exchange.roster.first
         assert ready is not None
+        return {
+            "versions": {name: version(name) for name in _VERSIONS},
+            "numerics": self._exchange.roster.numerics,
+            "environment": {
+                **self._spaces(),
+                "model_xml_sha256": ready.env_hash,
+                "moves_by": ready.exact,
+            },
+        }
+
+    def _write_config(self, networks: Networks) -> None:
         self._folder.write_json(
             "config.json",
             {
                 "config": self._config.to_dict(),
-                "versions": {name: version(name) for name in _VERSIONS},
-                "environment": {
-                    **self._spaces(),
-                    "model_xml_sha256": ready.env_hash,
-                    "moves_by": ready.exact,
-                    "exact": ready.exact != "off",
-                },
+                **self._facts(),
                 "parameters": networks.size,
                 "iterations": self._config.iterations,
             },
         )
+
+    def _check_environment(self) -> None:
+        """A resumed run needs the environment it began with; other versions are worth a warning.
+
+        Raises:
+            UsageError: sizes, model or snapshots are not the run's.
+        """
+        before, now = self._folder.read_json("config.json"), self._facts()
+        if before.get("environment") != now["environment"]:
+            raise UsageError(
+                f"{self._folder.path} was trained on another environment: {before['environment']} "
+                f"then, {now['environment']} now; install the versions it names: "
+                f"{before['versions']}"
+            )
+        for name in ("versions", "numerics"):
+            if before[name] != now[name]:
+                log.warning(
+                    "%s were %s, are %s: do not expect the bits of an undisturbed run",
+                    name,
+                    before[name],
+                    now[name],
+                )
 
     def _result(self, status: str) -> dict[str, object]:
         assert self.state is not None
@@ -200,11 +234,12 @@ class Session:
             "env": self._config.run.env,
             "seed": self._config.run.seed,
             "iterations": state.iteration,
-            "env_steps": state.iteration * self._config.rollout.samples,
+            "env_steps": self._env_steps,
             "episode_return_mean": float(returns.mean()) if some else None,
             "episode_return_std": float(returns.std()) if some else None,
             "episode_return_cvar10": cvar(returns) if some else None,
             "parameters_sha256": sha256(state.parameters),
             "restarts": self.generation - 1,
+            "exact": self._config.rollout.drop == 0 and self._exchange.exact,
             "dropped_gradients": state.dropped_gradients,
         }

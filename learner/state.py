@@ -89,7 +89,7 @@ class State:
             "finished_episodes": self.finished_episodes,
             "dropped_gradients": self.dropped_gradients,
             "best_mean": self.best_mean if self.best_mean > -np.inf else None,
-            "adam_steps": {name: adam.steps for name, adam in self.optimizers.items()},
+            "adam_updates": {name: adam.updates for name, adam in self.optimizers.items()},
         }
         return Checkpoint(arrays, {"state": own, **facts})
 
@@ -102,8 +102,10 @@ class State:
             iteration=own["iteration"],
             parameters=arrays["parameters"],
             optimizers={
-                name: AdamState(arrays[f"adam/{name}/mean"], arrays[f"adam/{name}/square"], steps)
-                for name, steps in own["adam_steps"].items()
+                name: AdamState(
+                    arrays[f"adam/{name}/mean"], arrays[f"adam/{name}/square"], updates
+                )
+                for name, updates in own["adam_updates"].items()
             },
             statistics=statistics_of(checkpoint),
             beta=own["beta"],

@@ -5,6 +5,7 @@ import hashlib
 import json
 import logging
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -93,12 +94,17 @@ def _is_vector(space: spaces.Space[Any]) -> bool:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Adapter:
     """Between an environment's spaces and flat vectors."""
 
     observation: spaces.Space[Any]
     action: spaces.Space[Any]
+
+    @cached_property
+    def obs_size(self) -> int:
+        """O: numbers per flattened observation."""
+        return spaces.flatdim(self.observation)
 
     @property
     def action_size(self) -> int:

@@ -50,6 +50,8 @@ class Episodes:
     """Undiscounted return of the present episode so far."""
     discounted: float = 0.0
     """Discounted sum of past rewards of this episode: what rewards are scaled by."""
+    is_exact: bool = True
+    """No move has changed what comes next."""
     _actions: list[NDArray[np.float32]] = field(default_factory=list)
 
     def begin(self) -> None:
@@ -94,6 +96,7 @@ class Episodes:
         """Go to where `capture` was called; without exact environments, to a new episode."""
         self.episode, self.steps = (int(count) for count in arrays["counts"])
         if self.exact == "off":
+            self.is_exact = False
             self.begin()
             return
         self.score, self.discounted = (float(value) for value in arrays["sums"])
@@ -113,6 +116,7 @@ class Episodes:
             except Exception as error:  # an environment may raise anything
                 raise self._failed(f"raised {type(error).__name__}: {error}") from error
         if not np.array_equal(reached, obs):
+            self.is_exact = False
             log.warning(
                 "slot %d, environment %d: replaying %d actions ended in another observation; the "
                 "environment is not deterministic, so this run is no longer exact",
@@ -131,7 +135,12 @@ class Episodes:
         self._check(self.obs, 0.0)
 
     def _check(self, obs: NDArray[np.float64], reward: float) -> None:
-        """One number decides: a sum is finite unless a part of it is not."""
+        """Shape by the space; then one number decides: a sum is finite unless a part is not."""
+        if len(obs) != self.adapter.obs_size:
+            raise self._failed(
+                f"returned {len(obs)} numbers as an observation, its space has "
+                f"{self.adapter.obs_size}"
+            )
         if not math.isfinite(np.add.reduce(obs) + reward):
             what = "reward" if not np.isfinite(reward) else f"observation {obs.tolist()}"
             raise self._failed(f"returned a {what} that is not finite (reward {reward})")

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from dppo.config import Config
 from dppo.distributions import distribution_of
+from dppo.errors import RunFailedError, UsageError
 from dppo.moments import Moments
 from dppo.networks import Networks
 from dppo.normalizer import Statistics
@@ -55,7 +56,7 @@ class FrozenPolicy:
         arrays = checkpoint.arrays
         obs = Moments.from_vector(arrays["statistics/obs"])
         if len(obs.mean) != spaces.obs_size:
-            raise ValueError(
+            raise UsageError(
                 f"the checkpoint's policy sees {len(obs.mean)} numbers, the environment gives "
                 f"{spaces.obs_size}"
             )
@@ -94,10 +95,14 @@ def evaluate(
     """
     env = make_env(Config.from_dict(checkpoint.facts["config"]).run)
     policy = FrozenPolicy(checkpoint, env)
-    results = [
-        _episode(policy, env, None if deterministic else rng, start)
-        for start, rng in _starts(seed, episodes)
-    ]
+    try:
+        results = [
+            _episode(policy, env, None if deterministic else rng, start)
+            for start, rng in _starts(seed, episodes)
+        ]
+    except Exception as error:  # an environment may raise anything
+        name = env.spec.id if env.spec else type(env).__name__
+        raise RunFailedError(f"{name} raised {type(error).__name__}: {error}") from error
     env.close()
     return Evaluation(tuple(score for score, _ in results), tuple(length for _, length in results))
 

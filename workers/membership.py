@@ -150,7 +150,13 @@ class Member:
 
     def _prepare(self, welcome: Welcome) -> Worker:
         """Build the environment once, to see that it works here and how large it is."""
-        config = Config.from_dict(json.loads(welcome.config))
+        try:
+            config = Config.from_dict(json.loads(welcome.config))
+        except ValueError as error:
+            raise UsageError(
+                f"the learner's settings are not those of this version: {error}; install the same "
+                "dppo version on learner and workers"
+            ) from error
         env = make_env(config.run)
         spaces = spaces_of(env)
         self._worker = Worker(self._name, self._link, spaces, config)

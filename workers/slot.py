@@ -99,6 +99,11 @@ class Slot:
             arrays["replay/sigma_target"] = self.replay.sigma_target
         return save(arrays)
 
+    @property
+    def is_exact(self) -> bool:
+        """No environment has lost a bit on a move."""
+        return all(environment.is_exact for environment in self.environments)
+
     def close(self) -> None:
         """Close the environments."""
         for environment in self.environments:

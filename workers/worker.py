@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dppo.config import Config
 from dppo.distributions import distribution_of
-from dppo.gradients import Minibatch, block_gradient, slot_kl
+from dppo.gradients import Minibatch, Sums, block_gradient, slot_kl
 from dppo.losses import AdvantageStatistics, combine
 from dppo.moments import Moments
 from dppo.networks import Networks
@@ -129,6 +129,7 @@ class Worker:
                     fit=critics.fit.to_vector(),
                     sigma_target=critics.sigma_target.to_vector(),
                     start_sigma=critics.start_sigma.to_vector(),
+                    exact=slot.is_exact,
                     snapshot=slot.snapshot(),
                 )
             )
@@ -140,7 +141,7 @@ class Worker:
         for block in aligned_blocks(task.slots):
             first, size = block
             rows = {(index, 1): row[index] for index in members(block)}
-            skips = [sums[number, 2] > sums[number, 0] for number in rows.values()]
+            skips = [Sums.from_vector(sums[number]).is_skip for number in rows.values()]
             self._link.send(
                 Gradient(
                     worker=self._name,

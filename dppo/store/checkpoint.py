@@ -10,6 +10,7 @@ A checkpoint is written into a hidden folder, flushed to the disk, and renamed: 
 checkpoint's name is whole, unless the disk lies, and then its checksum says so.
 """
 
+import contextlib
 import hashlib
 import json
 import logging
@@ -124,6 +125,8 @@ def newest_checkpoint(folder: Path) -> Checkpoint | None:
             return load_checkpoint(folder / name)
         except CheckpointError as error:
             log.warning("%s; falling back to the checkpoint before it", error)
+            with contextlib.suppress(OSError):  # out of the way: it must not count as the newest
+                (folder / name).rename(folder / f"corrupt-{name}")
     if found:
         raise CheckpointError(
             f"every checkpoint in {folder} is corrupt ({', '.join(found)}); restore one from a "

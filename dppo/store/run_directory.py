@@ -45,8 +45,8 @@ class RunDirectory:
         Raises:
             UsageError: it cannot be written, or another learner is at work in it.
         """
-        is_new = not path.exists()
         try:
+            is_new = not path.exists()
             (path / "checkpoints").mkdir(parents=True, exist_ok=True)
             lock = os.open(path / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
@@ -109,6 +109,11 @@ class RunDirectory:
                 f"{self.path} holds a run with other settings: {'; '.join(differences)}; use the "
                 "same settings to continue it, or another --run-dir"
             )
+
+    def read_json(self, name: str) -> dict[str, Any]:
+        """A JSON file of this folder."""
+        values: dict[str, Any] = json.loads((self.path / name).read_text())
+        return values
 
     def write(self, name: str, text: str) -> None:
         """Replace a small file, all or nothing."""

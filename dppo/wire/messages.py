@@ -86,6 +86,8 @@ class Collected:
     sigma_target: Float64  # moments [3]
     start_sigma: Float64  # moments [3] of σ(s_0)
     episodes: Float64  # [2 k]  return and length of each finished episode, in order
+    exact: bool
+    """False: an environment of the slot could not be moved without losing bits."""
     snapshot: bytes
     """The slot's environments after this iteration."""
 

@@ -79,7 +79,7 @@ def check_address(flag: str, address: str) -> None:
     """
     match = re.fullmatch(r"(tcp|udp|tls|quic|ws)/(\[.+\]|[^\s/\[\]]+):(\d{1,5})(#.*)?", address)
     is_socket = address.startswith("unixsock-stream/")
-    if not is_socket and (match is None or int(match[3]) > 65535):
+    if not is_socket and (match is None or not 0 < int(match[3]) <= 65535):
         raise UsageError(
             f"{flag} is {address!r}, expected an address such as tcp/learner:7447 or "
             "tcp/127.0.0.1:7447"

@@ -15,7 +15,7 @@ def test_the_first_step_has_the_size_of_the_rate_whatever_the_gradient():
     # m / (1 - β1) = g and √(v / (1 - β2)) = |g|, so the step is rate * sign(g)
     np.testing.assert_allclose(change[:2], [-0.5, 0.5], rtol=4 * ULP)
     assert change[2] == 0
-    assert state.steps == 1
+    assert state.updates == 1
 
 
 def test_two_steps_by_hand():
@@ -46,7 +46,7 @@ def test_twenty_steps_as_torch(eps):
     np.testing.assert_allclose(state.square, moments["exp_avg_sq"].numpy(), rtol=8 * ULP)
     largest = np.abs(start).max() + 20 * 3e-3
     np.testing.assert_allclose(ours, theirs.detach().numpy(), rtol=0, atol=4 * ULP * largest)
-    assert state.steps == 20
+    assert state.updates == 20
 
 
 def test_every_parameter_may_have_its_own_rate():
@@ -64,7 +64,7 @@ def test_the_state_before_is_left_as_it_was():
     adam(before, gradient, 0.1)
     assert not before.mean.any()
     assert not before.square.any()
-    assert before.steps == 0
+    assert before.updates == 0
     assert gradient.tolist() == [1.0, 2.0]
 
 

@@ -28,7 +28,8 @@ EXAMPLES: list[Message] = [
     ),
     messages.Collected(
         worker="w", **PLACE, slot=3, obs=WIDE, returns=WIDE[:3], advantages=EMPTY, fit=WIDE[1:],
-        sigma_target=WIDE[:1], start_sigma=WIDE[::2], episodes=EMPTY, snapshot=b"\x00\xff{",
+        sigma_target=WIDE[:1], start_sigma=WIDE[::2], episodes=EMPTY, exact=True,
+        snapshot=b"\x00\xff{",
     ),
     messages.Gradient(
         worker="w", **PLACE, first=4, size=4, stopped=(5, 7), vector=NARROW, sums=WIDE
