@@ -33,7 +33,7 @@ from dppo.wire.messages import (
     Welcome,
 )
 from learner.roster import Roster, spaces_in
-from learner.soundness import is_finite, shape_objection
+from learner.soundness import block_of, is_finite, shape_objection
 
 log = logging.getLogger("learner")
 _TICK = 0.25
@@ -92,6 +92,9 @@ class Exchange:
         """Spread the slots anew; remember what a lost slot has to be started from."""
         self._collect, self._snapshots = collect, snapshots
         self._leases.spread()
+        if self._leases.spares and collect.iteration % 100 == 1:
+            spares, slots = len(self._leases.spares), self._leases.num_slots
+            log.warning("%d workers stand by: --slots %d is what limits them", spares, slots)
 
     def gather(self, task: Task, quorum: int) -> Round[Answer]:
         """Ask all slots, wait until the quorum is in, take what else is there; the round."""
@@ -216,7 +219,7 @@ class Exchange:
         self._busy[worker] = _Busy(self._round.id, owed | set(wanted))
 
     def _take(self, answer: Answer) -> None:
-        first, size = _block(answer)
+        first, size = block_of(answer)
         aligned = size > 0 and size & (size - 1) == 0 and first % size == 0
         if not aligned or answer.worker not in self.roster:
             return
@@ -248,11 +251,7 @@ class Exchange:
     def _note_exactness(self, answer: Collected) -> None:
         if self.exact and not answer.exact:
             self.exact = False
-            log.warning(
-                "slot %d was moved and did not come back to the same state: this run is no longer "
-                "exact",
-                answer.slot,
-            )
+            log.warning("slot %d lost its state in a move: the run is not exact", answer.slot)
 
     def _is_present(self, answer: Collected) -> bool:
         """Was it collected in the present iteration?"""
@@ -272,7 +271,7 @@ class Exchange:
             self._expel(answer.worker, f"{who} {objection}")
             return False
         if not is_finite(answer):
-            first, size = _block(answer)
+            first, size = block_of(answer)
             raise RunFailedError(
                 f"slots {first} to {first + size - 1} on {who} sent a "
                 f"{type(answer).__name__} that is not finite, iteration {answer.iteration}, round "
@@ -292,7 +291,3 @@ class Exchange:
             f"iteration {here.iteration}, round {here.round}: waiting for slots {list(missing)} "
             f"of {', '.join(holders)}"
         )
-
-
-def _block(answer: Answer) -> tuple[int, int]:
-    return (answer.first, answer.size) if isinstance(answer, Gradient) else (answer.slot, 1)

@@ -239,6 +239,7 @@ class Session:
             "episode_return_std": float(returns.std()) if some else None,
             "episode_return_cvar10": cvar(returns) if some else None,
             "parameters_sha256": sha256(state.parameters),
+            "episodes": state.finished_episodes,
             "restarts": self.generation - 1,
             "exact": self._config.rollout.drop == 0 and self._exchange.exact,
             "dropped_gradients": state.dropped_gradients,

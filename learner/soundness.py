@@ -4,6 +4,7 @@ import numpy as np
 
 from dppo.gradients import Sums
 from dppo.spaces import Spaces
+from dppo.sums import Block
 from dppo.wire.messages import Answer, Collected, Gradient, Measured
 
 
@@ -42,3 +43,8 @@ def is_finite(answer: Answer) -> bool:
         case Measured():
             total = answer.kl + answer.weight
     return bool(np.isfinite(total))
+
+
+def block_of(answer: Answer) -> Block:
+    """The slots that an answer is about."""
+    return (answer.first, answer.size) if isinstance(answer, Gradient) else (answer.slot, 1)
