@@ -231,14 +231,13 @@ class Exchange:
             return
         if not self._sound(answer):
             return
-        if isinstance(answer, Collected):
-            self._note_exactness(answer)
         self._round.offer(round_id, (first, size), answer)
 
     def _settle(self, answer: Answer, round_id: RoundId, slots: range) -> None:
         """Note what the answer says about its sender, whether or not it still counts."""
         if isinstance(answer, Collected) and self._is_present(answer):
             self._leases.mark_current(answer.slot, answer.worker)
+            self._note_exactness(answer)
         busy = self._busy.get(answer.worker)
         if busy is None or busy.id != round_id:
             return

@@ -88,6 +88,8 @@ class Member:
         """Join and work, again and again, until a learner says that the run is over."""
         while True:
             welcome = self._join()
+            if isinstance(welcome, Stop):
+                return welcome
             log.info("joined run %s (generation %d)", welcome.run, welcome.generation)
             stop = self._serve(welcome)
             if self._worker is not None:
@@ -97,8 +99,8 @@ class Member:
                 return stop
             log.info("%s; waiting for the next learner", stop.reason if stop else "learner lost")
 
-    def _join(self) -> Welcome:
-        """Say Hello until a Welcome comes."""
+    def _join(self) -> Welcome | Stop:
+        """Say Hello until a Welcome comes, or the word that the run is over."""
         hello = Hello(
             worker=self._name,
             host=socket.gethostname(),
@@ -111,7 +113,8 @@ class Member:
             self._link.send(hello)
             until = time.monotonic() + max(backoff.next(), _FIRST_WAIT)
             while (left := until - time.monotonic()) > 0:
-                if isinstance(message := self._link.receive(left), Welcome):
+                message = self._link.receive(left)
+                if isinstance(message, Welcome) or (isinstance(message, Stop) and message.final):
                     return message
             if time.monotonic() - begun > self._patience:
                 raise LearnerAbsentError(

@@ -1,0 +1,158 @@
+"""A worker's life: it knocks until it is let in, outlives learners, goes when told to."""
+
+import json
+import re
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from dppo.config import Config, RunConfig
+from dppo.wire.memory_links import MemoryHub
+from dppo.wire.messages import Failure, Hello, Ready, Stop, Update, Welcome
+from workers.membership import Backoff, LearnerAbsentError, Member, wait_for
+
+PATIENCE = 20.0
+"""Longest wait for a learner [s]; only a broken member takes it."""
+PAUSE, END = Stop(reason="the learner pauses", final=False), Stop(reason="finished", final=True)
+
+
+def welcome(generation=1, env="InvertedPendulum-v5"):
+    config = json.dumps(Config(run=RunConfig(env=env)).to_dict())
+    return Welcome(run="3f9c", generation=generation, config=config)
+
+
+def update(generation):
+    """A task for slots whose experience the worker does not have."""
+    return Update(
+        generation=generation, iteration=1, round=1, slots=(0,), stopped=(),
+        parameters=np.zeros(3, np.float32), advantages=np.zeros(7),
+    )  # fmt: skip
+
+
+class Meeting:
+    """A member, and the test in the learner's place."""
+
+    def __init__(self, patience=PATIENCE):
+        hub = MemoryHub()
+        self.learner = hub.learner()
+        self.member = Member("w1", hub.worker("w1"), patience)
+
+    def says(self, *messages):
+        """Put what the learner says into the member's queue."""
+        for message in messages:
+            self.learner.send("w1", message)
+
+    def goes_away(self):
+        self.learner.close()
+
+    def heard(self):
+        """What the member has said so far."""
+        said = []
+        while (message := self.learner.receive(0.0)) is not None:
+            said.append(message)
+        return said
+
+    def kinds(self):
+        return [type(message) for message in self.heard()]
+
+
+def test_a_member_says_hello_then_ready_with_the_sizes_of_its_environment():
+    meeting = Meeting()
+    meeting.says(welcome(generation=3), END)
+    assert meeting.member.live() == END
+    hello, ready = meeting.heard()
+    assert isinstance(hello, Hello)
+    assert isinstance(ready, Ready)
+    assert (hello.worker, ready.worker, ready.generation) == ("w1", "w1", 3)
+    assert (ready.obs_size, ready.action_kind, ready.action_sizes) == (4, "box", (1,))
+
+
+def test_a_member_says_hello_again_until_it_is_welcomed():
+    meeting = Meeting()
+    with ThreadPoolExecutor(1) as pool:
+        life = pool.submit(meeting.member.live)
+        hellos = [meeting.learner.receive(PATIENCE) for _ in range(3)]
+        meeting.says(welcome(), END)
+        assert life.result(PATIENCE) == END
+    assert isinstance(hellos[0], Hello)
+    assert hellos == [hellos[0]] * 3
+
+
+def test_a_member_joins_the_next_learner_when_one_is_lost():
+    meeting = Meeting()
+    meeting.says(welcome(generation=1))
+    meeting.goes_away()
+    meeting.says(welcome(generation=2), END)
+    assert meeting.member.live() == END
+    heard = meeting.heard()
+    assert [type(message) for message in heard] == [Hello, Ready] * 2
+    assert [message.generation for message in heard if isinstance(message, Ready)] == [1, 2]
+
+
+def test_a_member_stays_when_the_learner_only_pauses():
+    meeting = Meeting()
+    meeting.says(welcome(generation=1), PAUSE, welcome(generation=2), END)
+    assert meeting.member.live() == END
+    assert meeting.kinds() == [Hello, Ready] * 2
+
+
+def test_a_member_that_is_asked_for_what_it_does_not_have_joins_anew():
+    meeting = Meeting()
+    meeting.says(welcome(), update(generation=1), welcome(), END)
+    assert meeting.member.live() == END
+    assert meeting.kinds() == [Hello, Ready] * 2
+
+
+def test_a_task_of_an_older_learner_is_ignored():
+    meeting = Meeting()
+    meeting.says(welcome(generation=2), update(generation=1), END)
+    assert meeting.member.live() == END
+    assert meeting.kinds() == [Hello, Ready]
+
+
+@pytest.mark.parametrize(
+    ("settings", "reason"),
+    [
+        (welcome(env="NoSuch-v1"), "NoSuch-v1"),
+        (Welcome(run="3f9c", generation=1, config='{"later": {}}'), "the same dppo version"),
+    ],
+)
+def test_a_member_that_cannot_build_what_is_asked_says_why_and_lets_the_learner_decide(
+    settings, reason
+):
+    meeting = Meeting()
+    meeting.says(settings, END)
+    assert meeting.member.live() == END
+    hello, failure = meeting.heard()
+    assert isinstance(hello, Hello)
+    assert isinstance(failure, Failure)
+    assert failure.usage
+    assert reason in failure.reason
+
+
+def test_a_member_gives_up_after_its_patience():
+    meeting = Meeting(patience=0.15)
+    with pytest.raises(LearnerAbsentError, match=r"did not answer worker w1 for 0\.15 s; look"):
+        meeting.member.live()
+    assert set(meeting.kinds()) == {Hello}
+
+
+def test_waiting_for_a_learner_gives_up_with_a_sentence():
+    sentence = "no learner answered at tcp/lab1:7447 for 0.05 s; is it running"
+    with pytest.raises(LearnerAbsentError, match=re.escape(sentence)):
+        wait_for(lambda: None, "tcp/lab1:7447", patience=0.05)
+
+
+def test_waiting_for_a_learner_ends_when_it_is_there():
+    link = MemoryHub().worker("w1")
+    tries = iter([None, None, link])
+    assert wait_for(lambda: next(tries), "tcp/lab1:7447", patience=PATIENCE) is link
+
+
+def test_waits_between_two_tries_grow_and_stay_within_bounds():
+    backoff = Backoff()
+    waits = [backoff.next() for _ in range(20)]
+    full = [0.1, 0.2, 0.4, 0.8, 1.6] + [2.0] * 15  # doubled up to 2 s
+    for wait, most in zip(waits, full, strict=True):
+        assert most / 2 <= wait <= most
