@@ -49,9 +49,10 @@ class CheckpointArgs:
 
 def main(argv: list[str] | None = None) -> None:
     """Run one subcommand; exit code 2 for wrong usage."""
-    from dppo.process import leave, one_thread
+    from dppo.process import leave, no_window, one_thread
 
     one_thread()
+    no_window()
     words = sys.argv[1:] if argv is None else argv
     leave(lambda: _command(words))
 

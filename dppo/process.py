@@ -23,6 +23,14 @@ def one_thread() -> None:
         os.environ[name] = "1"
 
 
+def no_window() -> None:
+    """Nothing is drawn here: keep MuJoCo from probing for a window system, before it is imported.
+
+    The probe is a process of its own, which complains when its parent ends first.
+    """
+    os.environ.setdefault("MUJOCO_GL", "disable")
+
+
 def parse(kind: type[Args], argv: list[str], program: str, default: Args | None = None) -> Args:
     """The arguments, or exit code 2 with what is wrong and the nearest flags."""
     import tyro

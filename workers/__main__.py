@@ -26,9 +26,10 @@ class WorkerArgs:
 
 def main(argv: list[str] | None = None) -> None:
     """Run one worker process; the exit code says how it ended."""
-    from dppo.process import leave, one_thread, parse, start_logging
+    from dppo.process import leave, no_window, one_thread, parse, start_logging
 
     one_thread()
+    no_window()
     arguments = sys.argv[1:] if argv is None else argv
     bound = "--end-with-stdin" in arguments  # the learner's own children, not for people
     args = parse(WorkerArgs, [a for a in arguments if a != "--end-with-stdin"], "dppo-worker")
