@@ -1,10 +1,12 @@
 """What all commands share: threads, command line, log lines, exit codes."""
 
+import importlib.util
 import logging
 import os
 import signal
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from types import FrameType
 from typing import NoReturn, TypeVar
 
@@ -24,11 +26,17 @@ def one_thread() -> None:
 
 
 def no_window() -> None:
-    """Nothing is drawn here: keep MuJoCo from probing for a window system, before it is imported.
+    """Nothing is drawn here: keep MuJoCo from opening a window system, before it is imported.
 
-    The probe is a process of its own, which complains when its parent ends first.
+    Gymnasium imports pyGLFW all the same; told where its library is, it starts no process to look
+    for it, which would complain when its parent ends first.
     """
     os.environ.setdefault("MUJOCO_GL", "disable")
+    package = importlib.util.find_spec("glfw")
+    if package is not None and package.origin is not None:
+        library = Path(package.origin).parent / "x11" / "libglfw.so"
+        if library.exists():
+            os.environ.setdefault("PYGLFW_LIBRARY", str(library))
 
 
 def parse(kind: type[Args], argv: list[str], program: str, default: Args | None = None) -> Args:
