@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dppo.settings import require
+
 if TYPE_CHECKING:
     from dppo.store.checkpoint import Checkpoint
 
@@ -31,10 +33,8 @@ class EvalArgs:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
-        if self.episodes < 1:
-            raise ValueError(f"--episodes is {self.episodes}, expected >= 1")
-        if not 0 <= self.seed < 2**63:
-            raise ValueError(f"--seed is {self.seed}, expected 0 <= seed < 2**63")
+        require(self.episodes >= 1, "episodes", self.episodes, ">= 1")
+        require(0 <= self.seed < 2**63, "seed", self.seed, "0 <= seed < 2**63")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,14 +102,13 @@ def _eval(args: EvalArgs) -> int:
 def _checkpoint(args: CheckpointArgs) -> int:
     from dppo.config import Config
     from dppo.networks import Networks
-    from dppo.spaces import Spaces
     from dppo.store.checkpoint import sha256
+    from dppo.store.contents import spaces_in
 
     path, checkpoint = _load(args.run, args.which)
     facts = checkpoint.facts
-    spaces = Spaces(**facts["spaces"] | {"action_sizes": tuple(facts["spaces"]["action_sizes"])})
     parameters = checkpoint.arrays["parameters"]
-    parts = Networks.build(spaces, Config.from_dict(facts["config"])).parts
+    parts = Networks.build(spaces_in(checkpoint), Config.from_dict(facts["config"])).parts
     summary = {
         "path": str(path),
         "env": facts["config"]["run"]["env"],

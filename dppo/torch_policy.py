@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from dppo.config import Config
-from dppo.moments import Moments
 from dppo.networks import Networks
-from dppo.normalizer import Statistics
-from dppo.spaces import Spaces
 from dppo.store.checkpoint import Checkpoint
+from dppo.store.contents import spaces_in, statistics_in
 
 
 class PolicyModule(nn.Module):
@@ -74,8 +72,7 @@ class PolicyModule(nn.Module):
             ValueError: the policy is not a Gaussian one, or needs a time feature.
         """
         config = Config.from_dict(checkpoint.facts["config"])
-        facts = checkpoint.facts["spaces"]
-        spaces = Spaces(**facts | {"action_sizes": tuple(facts["action_sizes"])})
+        spaces = spaces_in(checkpoint)
         if spaces.action_kind != "box" or config.rollout.time_limit != "bootstrap":
             raise ValueError(
                 f"this policy has {spaces.action_kind} actions and time limit "
@@ -83,9 +80,7 @@ class PolicyModule(nn.Module):
             )
         networks = Networks.build(spaces, config)
         vector, log_std = networks.split_policy(checkpoint.arrays["parameters"])
-        obs = Moments.from_vector(checkpoint.arrays["statistics/obs"])
-        empty = Moments.empty(1)
-        normalizer = Statistics(obs, empty, empty).obs_normalizer(config.rollout)
+        normalizer = statistics_in(checkpoint).obs_normalizer(config.rollout)
         shape = (spaces.action_size,)
         bounds = (
             np.broadcast_to(np.float32(low), shape),

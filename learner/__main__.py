@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from dppo.config import Config
+from dppo.settings import require
 
 if TYPE_CHECKING:
     from dppo.store.run_directory import RunDirectory
@@ -60,9 +61,7 @@ class ProcessArgs:
         """Refuse what makes no sense."""
         leasts = {"local_workers": -1, "checkpoint_every": 1, "keep_checkpoints": 1}
         for name, least in leasts.items():
-            if getattr(self, name) < least:
-                flag = name.replace("_", "-")
-                raise ValueError(f"--{flag} is {getattr(self, name)}, expected >= {least}")
+            require(getattr(self, name) >= least, name, getattr(self, name), f">= {least}")
 
 
 @dataclass(frozen=True, kw_only=True)

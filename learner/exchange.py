@@ -196,7 +196,8 @@ class Exchange:
         assert self._task is not None
         assert self._round is not None
         assert self._collect is not None
-        wanted = tuple(slot for slot in slots if slot in self._round.missing)
+        missing = set(self._round.missing)
+        wanted = tuple(slot for slot in slots if slot in missing)
         busy = self._busy.get(worker)
         if not wanted or (busy is not None and busy.slots and busy.id != self._round.id):
             return  # a late worker is asked again when it has answered
@@ -265,16 +266,16 @@ class Exchange:
         """Sizes as the config says, numbers finite; a worker that breaks either is dealt with."""
         assert self.roster.first is not None
         spaces, count = spaces_in(self.roster.first), self._parameter_count()
-        who = self.roster.describe(answer.worker)
         if objection := shape_objection(answer, spaces, count):
-            self._expel(answer.worker, f"{who} {objection}")
+            self._expel(answer.worker, f"{self.roster.describe(answer.worker)} {objection}")
             return False
         if not is_finite(answer):
             first, size = block_of(answer)
             raise RunFailedError(
-                f"slots {first} to {first + size - 1} on {who} sent a "
-                f"{type(answer).__name__} that is not finite, iteration {answer.iteration}, round "
-                f"{answer.round}; lower --learning-rate or look at the rewards' scale"
+                f"slots {first} to {first + size - 1} on {self.roster.describe(answer.worker)} "
+                f"sent a {type(answer).__name__} that is not finite, iteration "
+                f"{answer.iteration}, round {answer.round}; lower --learning-rate or look at the "
+                "rewards' scale"
             )
         return True
 

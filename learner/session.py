@@ -128,9 +128,7 @@ class Session:
         """The state, with the highest mean return so far."""
         assert self.state is not None
         state = self.state
-        if len(state.episodes):
-            mean = float(state.episodes[:, 0].mean())
-            self.state = replace(state, best_mean=max(mean, state.best_mean))
+        self.state = replace(state, best_mean=max(state.mean_return, state.best_mean))
         return self.state
 
     def _save(self, state: State) -> None:
@@ -164,8 +162,8 @@ class Session:
             "spaces": self._spaces(),
         }
         save_checkpoint(folder, name, state.to_checkpoint(facts))
-        if len(state.episodes) and state.episodes[:, 0].mean() >= state.best_mean:
-            mark_best(folder, name, float(state.episodes[:, 0].mean()))
+        if len(state.episodes) and state.mean_return >= state.best_mean:
+            mark_best(folder, name, state.mean_return)
         prune(folder, self._keep)
         self._saved = state.iteration
 
@@ -235,7 +233,7 @@ class Session:
             "seed": self._config.run.seed,
             "iterations": state.iteration,
             "env_steps": self._env_steps,
-            "episode_return_mean": float(returns.mean()) if some else None,
+            "episode_return_mean": state.mean_return if some else None,
             "episode_return_std": float(returns.std()) if some else None,
             "episode_return_cvar10": cvar(returns) if some else None,
             "parameters_sha256": sha256(state.parameters),

@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 from dppo.adam import AdamState
 from dppo.config import Config
-from dppo.moments import Moments
 from dppo.networks import Network, Networks
 from dppo.normalizer import Statistics
 from dppo.store.checkpoint import Checkpoint
+from dppo.store.contents import statistics_in
 
 Float32 = NDArray[np.float32]
 RECENT_EPISODES = 100
@@ -60,6 +60,11 @@ class State:
             snapshots={},
         )
 
+    @property
+    def mean_return(self) -> float:
+        """Mean return of the newest episodes; -inf before any has finished."""
+        return float(self.episodes[:, 0].mean()) if len(self.episodes) else -np.inf
+
     def with_episodes(self, episodes: NDArray[np.float64]) -> "State":
         """With newly finished episodes, in slot order."""
         return replace(
@@ -107,7 +112,7 @@ class State:
                 )
                 for name, updates in own["adam_updates"].items()
             },
-            statistics=statistics_of(checkpoint),
+            statistics=statistics_in(checkpoint),
             beta=own["beta"],
             psi=own["psi"],
             servo=own["servo"],
@@ -121,14 +126,3 @@ class State:
                 if name.startswith("slot/")
             },
         )
-
-
-def statistics_of(checkpoint: Checkpoint) -> Statistics:
-    """The shared statistics in a checkpoint."""
-    arrays = checkpoint.arrays
-    return Statistics(
-        *(
-            Moments.from_vector(arrays[f"statistics/{name}"])
-            for name in ("obs", "returns", "sigma_target")
-        )
-    )

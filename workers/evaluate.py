@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 from dppo.config import Config
 from dppo.distributions import distribution_of
 from dppo.errors import RunFailedError, UsageError
-from dppo.moments import Moments
 from dppo.networks import Networks
-from dppo.normalizer import Statistics
 from dppo.statistics import cvar
 from dppo.store.checkpoint import Checkpoint
+from dppo.store.contents import spaces_in, statistics_in
 from dppo.streams import reset_seed, stream
 from workers.envs import Adapter, Env, make_env, spaces_of
 
@@ -53,18 +52,16 @@ class FrozenPolicy:
     def __init__(self, checkpoint: Checkpoint, env: Env) -> None:
         self.config = Config.from_dict(checkpoint.facts["config"])
         spaces = spaces_of(env)
-        arrays = checkpoint.arrays
-        obs = Moments.from_vector(arrays["statistics/obs"])
-        if len(obs.mean) != spaces.obs_size:
+        trained = spaces_in(checkpoint)
+        if trained.obs_size != spaces.obs_size:
             raise UsageError(
-                f"the checkpoint's policy sees {len(obs.mean)} numbers, the environment gives "
+                f"the checkpoint's policy sees {trained.obs_size} numbers, the environment gives "
                 f"{spaces.obs_size}"
             )
-        statistics = Statistics(obs, Moments.empty(1), Moments.empty(1))
-        self._normalizer = statistics.obs_normalizer(self.config.rollout)
+        self._normalizer = statistics_in(checkpoint).obs_normalizer(self.config.rollout)
         self._networks = Networks.build(spaces, self.config)
         self._distribution = distribution_of(spaces)
-        self._policy, self._log_std = self._networks.split_policy(arrays["parameters"])
+        self._policy, self._log_std = self._networks.split_policy(checkpoint.arrays["parameters"])
 
     def act(
         self, obs: NDArray[np.float64], step: int, rng: np.random.Generator | None
