@@ -95,6 +95,7 @@ def main(argv: list[str] | None = None) -> None:
 
 def _train(config: Config, args: ProcessArgs) -> int:
     from dppo.store.run_directory import RunDirectory, default_path
+    from dppo.wire.socket_links import Alarm, SocketLearnerLink
     from dppo.wire.zenoh_links import ZenohLearnerLink
     from learner.arguments import listening_address
     from learner.local import LocalWorkers, usable_cores
@@ -102,7 +103,8 @@ def _train(config: Config, args: ProcessArgs) -> int:
     from learner.signals import StopSignals, log_to_file
 
     address = listening_address(args.listen, args.insecure)
-    link = ZenohLearnerLink(address)
+    alarm = Alarm()
+    link = SocketLearnerLink(ZenohLearnerLink(address, alarm.ring), alarm)
     path = Path(args.run_dir) if args.run_dir else default_path(config, args.name)
     folder = RunDirectory.open(path)
     _check_resume(folder.has_run, path, args.resume)
@@ -112,7 +114,7 @@ def _train(config: Config, args: ProcessArgs) -> int:
     count = args.local_workers
     if count < 0:
         count = min(usable_cores(), config.rollout.slots)
-    workers = LocalWorkers(address, count, args.verbose)
+    workers = LocalWorkers(link, count, args.verbose)
 
     def look_after() -> None:
         signals.check()

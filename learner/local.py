@@ -1,6 +1,5 @@
 """Worker processes on the learner's own machine: started, looked after, ended."""
 
-import contextlib
 import logging
 import os
 import signal
@@ -11,6 +10,7 @@ import time
 from dataclasses import dataclass, field
 
 from dppo.errors import RunFailedError
+from dppo.wire.socket_links import SocketLearnerLink
 
 log = logging.getLogger("learner")
 _MOST_RESTARTS = 20
@@ -35,19 +35,19 @@ def free_address() -> str:
 
 @dataclass(slots=True)
 class _Child:
+    name: str
     process: subprocess.Popen[bytes]
     born: float
 
 
 @dataclass(slots=True)
 class LocalWorkers:
-    """`count` worker processes that connect to `address`. They die with this process.
+    """`count` worker processes, each on a pair of sockets with this one. They die with it.
 
-    Each holds the read end of a pipe whose write end only this process has: however this process
-    ends, kill -9 included, they see the end of the file and exit.
+    However this process ends, kill -9 included, they see their socket's other end gone and exit.
     """
 
-    address: str
+    link: SocketLearnerLink
     count: int
     verbose: bool
     _children: dict[int, _Child] = field(default_factory=dict)
@@ -59,13 +59,16 @@ class LocalWorkers:
             self._children[index] = self._spawn(index, 0)
 
     def look_after(self) -> None:
-        """Start again what has died.
+        """Start again what has died, or was given up because it was silent.
 
         Raises:
             RunFailedError: they die again and again, or as soon as they start.
         """
         for index, child in self._children.items():
             code = child.process.poll()
+            if code is None and child.name not in self.link:
+                child.process.send_signal(signal.SIGKILL)
+                code = child.process.wait()
             if code is None:
                 continue
             self._restarts += 1
@@ -81,10 +84,7 @@ class LocalWorkers:
     def end(self) -> None:
         """End all of them, within three seconds."""
         until = time.monotonic() + _END_SECONDS
-        for child in self._children.values():
-            with contextlib.suppress(OSError):
-                assert child.process.stdin is not None
-                child.process.stdin.close()
+        self.link.let_go()
         for child in self._children.values():
             try:
                 child.process.wait(max(0.1, until - time.monotonic()))
@@ -95,16 +95,22 @@ class LocalWorkers:
 
     def _spawn(self, index: int, restart: int) -> _Child:
         name = f"local-{index}" + (f"-{restart}" if restart else "")
+        end = self.link.adopt(name)
         command = [
             sys.executable,
             "-m",
             "workers",
-            "--end-with-stdin",
-            "--connect",
-            self.address,
+            "--socket",
+            str(end.fileno()),
             "--name",
             name,
             "--verbose" if self.verbose else "--no-verbose",
         ]
-        process = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
-        return _Child(process, time.monotonic())
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            pass_fds=[end.fileno()],
+            start_new_session=True,
+        )
+        end.close()
+        return _Child(name, process, time.monotonic())

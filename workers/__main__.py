@@ -1,8 +1,6 @@
 """`dppo-worker`: command line -> link -> member. Everything from outside is read here."""
 
-import os
 import sys
-import threading
 from dataclasses import dataclass
 
 
@@ -31,12 +29,36 @@ def main(argv: list[str] | None = None) -> None:
     one_thread()
     no_window()
     arguments = sys.argv[1:] if argv is None else argv
-    bound = "--end-with-stdin" in arguments  # the learner's own children, not for people
-    args = parse(WorkerArgs, [a for a in arguments if a != "--end-with-stdin"], "dppo-worker")
+    if arguments[:1] == ["--socket"]:  # a child of the learner's: not for people
+        own = parse(_ChildArgs, arguments, "dppo-worker")
+        start_logging(own.verbose)
+        leave(lambda: _serve_parent(own))
+    args = parse(WorkerArgs, arguments, "dppo-worker")
     start_logging(args.verbose)
-    if bound:
-        threading.Thread(target=_end_with_stdin, daemon=True).start()
     leave(lambda: _work(args))
+
+
+@dataclass(frozen=True, kw_only=True)
+class _ChildArgs:
+    """A worker that the learner has started itself."""
+
+    socket: int
+    """Descriptor of its end of the pair."""
+    name: str
+    verbose: bool = True
+
+
+def _serve_parent(args: _ChildArgs) -> int:
+    import socket
+
+    from dppo.wire.socket_links import SocketWorkerLink
+    from workers.envs import quiet
+    from workers.membership import Member
+
+    link = SocketWorkerLink(socket.socket(fileno=args.socket))
+    quiet()
+    Member(args.name, link, float("inf")).live()
+    return 0
 
 
 def _work(args: WorkerArgs) -> int:
@@ -66,13 +88,6 @@ def _work(args: WorkerArgs) -> int:
     print(f"worker {name}: {stop.reason}", file=sys.stderr)
     link.close()
     return 0
-
-
-def _end_with_stdin() -> None:
-    """The learner holds the other end of our stdin: when it is gone, so are we."""
-    while os.read(0, 1024):
-        pass
-    os._exit(0)
 
 
 if __name__ == "__main__":

@@ -16,9 +16,12 @@ def next_event(inbox: Inbox, timeout: float) -> Any:  # noqa: ANN401  the link's
         item = inbox.get(timeout=timeout) if timeout > 0 else inbox.get_nowait()
     except queue.Empty:
         return None
-    if not isinstance(item, Frame):
-        return item
+    return decoded(item) if isinstance(item, Frame) else item
+
+
+def decoded(frame: Frame) -> Any:  # noqa: ANN401  the link's end narrows it
+    """The message of a frame, or why it is none."""
     try:
-        return decode(item)
+        return decode(frame)
     except WireError as error:
         return Refused(str(error))

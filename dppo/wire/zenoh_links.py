@@ -18,6 +18,7 @@ import os
 import queue
 import re
 import threading
+from collections.abc import Callable
 from typing import Any
 
 # Zenoh's default of one sending thread lets one stuck link delay all others.
@@ -135,9 +136,10 @@ def open_connecting(address: str) -> zenoh.Session | None:
 class _End:
     """What both ends share: a session, an inbox, publishers, and a bounded close."""
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self, session: zenoh.Session, ring: Callable[[], None]) -> None:
+        """`ring` is called in Zenoh's threads when something has arrived."""
         zenoh.init_log_from_env_or("error")
-        self._session = session
+        self._session, self._ring = session, ring
         self._inbox: Inbox = queue.SimpleQueue()
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._kept: list[object] = []  # an entity is undeclared when nobody refers to it
@@ -147,6 +149,7 @@ class _End:
             attachment = sample.attachment
             header = attachment.to_bytes() if attachment is not None else b""
             self._inbox.put(Frame(header, sample.payload.to_bytes()))
+            self._ring()
 
         handler = zenoh.handlers.Callback(arrived, indirect=False)
         self._kept.append(self._session.declare_subscriber(key, handler))
@@ -156,6 +159,7 @@ class _End:
             if sample.kind == zenoh.SampleKind.DELETE:
                 name = str(sample.key_expr).rsplit("/", 1)[1]
                 self._inbox.put(lost() if lost else WorkerLost(name))
+                self._ring()
 
         handler = zenoh.handlers.Callback(changed, indirect=False)
         self._kept.append(
@@ -188,8 +192,9 @@ class _End:
 class ZenohLearnerLink(_End):
     """A `LearnerLink`."""
 
-    def __init__(self, address: str) -> None:
-        super().__init__(open_listening(address))
+    def __init__(self, address: str, ring: Callable[[], None] = lambda: None) -> None:
+        """`ring` is called, in another thread, when there is something to receive."""
+        super().__init__(open_listening(address), ring)
         self._subscribe(f"{BASE}/g/*")
         self._watch(f"{BASE}/live/w/*", None)
         self._live(f"{BASE}/live/learner")  # last: whoever sees it may talk
@@ -210,7 +215,7 @@ class ZenohWorkerLink(_End):
     """A `WorkerLink`; `name` must be a key segment: letters, digits, `-`."""
 
     def __init__(self, session: zenoh.Session, name: str) -> None:
-        super().__init__(session)
+        super().__init__(session, lambda: None)
         self._key = f"{BASE}/g/{name}"
         self._subscribe(f"{BASE}/p/{name}")
         self._watch(f"{BASE}/live/learner", LearnerLost)

@@ -1,0 +1,306 @@
+"""Both ends on a pair of connected sockets: the learner and the workers it has started itself.
+
+Between processes of one host a frame takes one write and one read; through Zenoh it passes half a
+dozen threads (docs/performance.md). Nothing has a name, so nothing is left behind, and either
+process sees the other's end at once.
+
+A frame travels as the lengths of header and body, then both. A frame of length 0 is a heartbeat:
+the worker sends one twice a second from a thread of its own, so that a worker that is stopped, or
+holds Python's lock for ever, is told apart from one that only computes.
+"""
+
+import contextlib
+import os
+import select
+import socket
+import struct
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass, field
+
+from dppo.errors import WireError
+from dppo.wire.codec import MAX_BODY, MAX_HEADER, Frame, encode
+from dppo.wire.inbox import decoded
+from dppo.wire.links import LearnerLink, LearnerLost, Refused, WorkerLost
+from dppo.wire.messages import Message, ToLearner, ToWorker
+
+_PREFIX = struct.Struct("<II")
+_HEARTBEAT = _PREFIX.pack(0, 0)
+_BEAT_SECONDS = 0.5
+SILENCE_SECONDS = 2.0
+"""A worker that was heard once and then not for so long is given up."""
+_BUFFER = 1 << 20
+_MOST_PIECES = 64
+_READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
+
+
+@dataclass(slots=True)
+class _Reader:
+    """Frames out of a stream of bytes."""
+
+    _target: bytearray = field(default_factory=lambda: bytearray(_PREFIX.size))
+    _filled: int = 0
+    _header: bytes | None = None
+    _lengths: tuple[int, int] | None = None
+
+    def read(self, end: socket.socket) -> Frame | None:
+        """The next whole frame, or None if the socket has no more for now; heartbeats are skipped.
+
+        Raises:
+            EOFError: the other end is gone.
+            WireError: a length beyond the limits.
+        """
+        while True:
+            if self._filled < len(self._target):
+                try:
+                    count = end.recv_into(memoryview(self._target)[self._filled :])
+                except BlockingIOError:
+                    return None
+                except ConnectionError as error:
+                    raise EOFError from error
+                if count == 0:
+                    raise EOFError
+                self._filled += count
+            if self._filled == len(self._target) and (frame := self._next()) is not None:
+                return frame
+
+    def _next(self) -> Frame | None:
+        """What the filled part means: go on to the next part, or a frame."""
+        part, self._filled = self._target, 0
+        if self._lengths is None:
+            header, body = _PREFIX.unpack(part)
+            if header > MAX_HEADER or body > MAX_BODY:
+                raise WireError(
+                    f"a frame of {header} + {body} bytes was announced, at most "
+                    f"{MAX_HEADER} + {MAX_BODY} are accepted"
+                )
+            if header:
+                self._lengths, self._target = (header, body), bytearray(header)
+            return None
+        if self._header is None:
+            self._header, self._target = bytes(part), bytearray(self._lengths[1])
+            if self._target:
+                return None
+            part = self._target
+        frame = Frame(self._header, part)
+        self._header = self._lengths = None
+        self._target = bytearray(_PREFIX.size)
+        return frame
+
+
+def _pieces(message: Message) -> list[memoryview]:
+    frame = encode(message)
+    prefix = _PREFIX.pack(len(frame.header), len(frame.body))
+    return [memoryview(piece) for piece in (prefix, frame.header, frame.body) if piece]
+
+
+def _without(pieces: list[memoryview], count: int) -> list[memoryview]:
+    """What is left of the pieces when `count` bytes are gone."""
+    for number, piece in enumerate(pieces):
+        if count < len(piece):
+            return [piece[count:], *pieces[number + 1 :]]
+        count -= len(piece)
+    return []
+
+
+@dataclass(slots=True)
+class _Peer:
+    """The learner's end of one worker's pair."""
+
+    end: socket.socket
+    reader: _Reader = field(default_factory=_Reader)
+    unsent: list[memoryview] = field(default_factory=list)
+    heard: float | None = None
+    """When bytes last came; None: it has not started yet."""
+
+
+class SocketLearnerLink:
+    """A `LearnerLink` to this process's own workers, beside the link to all others."""
+
+    def __init__(self, others: LearnerLink, alarm: "Alarm") -> None:
+        """`alarm` rings when `others` has something."""
+        self._others, self._alarm = others, alarm
+        self._peers: dict[str, _Peer] = {}
+        self._names: dict[int, str] = {}
+        self._events: deque[ToLearner | WorkerLost | Refused] = deque()
+        self._others_ready = False
+        self._poll = select.poll()
+        self._poll.register(alarm, select.POLLIN)
+
+    def adopt(self, name: str) -> socket.socket:
+        """A new pair for the worker `name`; the worker's end, for its process to inherit."""
+        ours, theirs = socket.socketpair()
+        for end in (ours, theirs):
+            for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+                end.setsockopt(socket.SOL_SOCKET, option, _BUFFER)
+        ours.setblocking(False)
+        self._peers[name], self._names[ours.fileno()] = _Peer(ours), name
+        self._poll.register(ours, select.POLLIN)
+        return theirs
+
+    def __contains__(self, name: str) -> bool:
+        """Is there a pair for this worker, not given up?"""
+        return name in self._peers
+
+    def receive(self, timeout: float) -> ToLearner | WorkerLost | Refused | None:
+        """See `LearnerLink`."""
+        deadline = time.monotonic() + timeout
+        while True:
+            if self._events:
+                return self._events.popleft()
+            if self._others_ready and (event := self._others.receive(0.0)) is not None:
+                return event
+            self._others_ready = False
+            left = deadline - time.monotonic()
+            ready = self._poll.poll(max(0.0, 1000 * left))
+            for descriptor, what in ready:
+                self._serve(descriptor, what)
+            self._give_up_silent_ones()
+            if not ready and left <= 0 and not self._events:
+                return None
+
+    def send(self, worker: str, message: ToWorker) -> None:
+        """See `LearnerLink`. Never waits for the worker: what it does not take yet is kept."""
+        peer = self._peers.get(worker)
+        if peer is None:
+            self._others.send(worker, message)
+            return
+        waiting = bool(peer.unsent)
+        peer.unsent += _pieces(message)
+        if not waiting:
+            self._flush(worker, peer)
+
+    def let_go(self) -> None:
+        """Close all pairs: the workers' processes end."""
+        for name in list(self._peers):
+            self._drop(name)
+
+    def close(self) -> None:
+        """See `LearnerLink`."""
+        self.let_go()
+        self._others.close()
+
+    def _serve(self, descriptor: int, what: int) -> None:
+        """Something can be read from, or written to, one of the sockets."""
+        name = self._names.get(descriptor)
+        if name is None:
+            self._alarm.hush()
+            self._others_ready = True
+            return
+        peer = self._peers[name]
+        if what & select.POLLOUT:
+            self._flush(name, peer)
+        if what & _READABLE and name in self._peers:
+            peer.heard = time.monotonic()
+            self._read(name, peer)
+
+    def _read(self, name: str, peer: _Peer) -> None:
+        try:
+            while (frame := peer.reader.read(peer.end)) is not None:
+                self._events.append(decoded(frame))
+        except WireError as error:  # out of step: nothing behind it can be read
+            self._events.append(Refused(f"from worker {name}: {error}"))
+            self._lose(name)
+        except EOFError:
+            self._lose(name)
+
+    def _flush(self, name: str, peer: _Peer) -> None:
+        """Write what the socket takes; come back for the rest when it takes more."""
+        try:
+            while peer.unsent:
+                count = peer.end.sendmsg(peer.unsent[:_MOST_PIECES])
+                peer.unsent = _without(peer.unsent, count)
+        except BlockingIOError:
+            self._poll.modify(peer.end, select.POLLIN | select.POLLOUT)
+        except ConnectionError:
+            self._lose(name)
+        else:
+            self._poll.modify(peer.end, select.POLLIN)
+
+    def _give_up_silent_ones(self) -> None:
+        """Called when everything has been read: what this process slept through does not count."""
+        now = time.monotonic()
+        for name, peer in list(self._peers.items()):
+            silent = peer.heard is not None and now - peer.heard > SILENCE_SECONDS
+            if silent and not select.select([peer.end], [], [], 0)[0]:
+                self._lose(name)
+
+    def _lose(self, name: str) -> None:
+        self._drop(name)
+        self._events.append(WorkerLost(name))
+
+    def _drop(self, name: str) -> None:
+        peer = self._peers.pop(name)
+        del self._names[peer.end.fileno()]
+        self._poll.unregister(peer.end)
+        peer.end.close()
+
+
+class Alarm:
+    """Wakes a process that waits for descriptors when something came another way."""
+
+    def __init__(self) -> None:
+        self._reading, self._writing = os.pipe()
+        os.set_blocking(self._reading, False)
+        os.set_blocking(self._writing, False)
+
+    def fileno(self) -> int:
+        """Readable while it rings."""
+        return self._reading
+
+    def ring(self) -> None:
+        """From any thread."""
+        with contextlib.suppress(BlockingIOError):  # it rings already
+            os.write(self._writing, b"\0")
+
+    def hush(self) -> None:
+        """Stop ringing."""
+        with contextlib.suppress(BlockingIOError):
+            os.read(self._reading, 4096)
+
+
+class SocketWorkerLink:
+    """A `WorkerLink` to the learner that started this process. There is no other to wait for."""
+
+    def __init__(self, end: socket.socket) -> None:
+        self._end, self._reader = end, _Reader()
+        self._writing = threading.Lock()
+        threading.Thread(target=self._beat, daemon=True).start()
+
+    def receive(self, timeout: float) -> ToWorker | LearnerLost | Refused | None:
+        """See `WorkerLink`.
+
+        Raises:
+            BrokenPipeError: the learner is gone, and with it the reason to live.
+        """
+        if not select.select([self._end], [], [], timeout)[0]:
+            return None
+        try:
+            frame = self._reader.read(self._end)
+        except EOFError as error:
+            raise BrokenPipeError("the learner is gone") from error
+        assert frame is not None
+        message: ToWorker | Refused = decoded(frame)
+        return message
+
+    def send(self, message: ToLearner) -> None:
+        """See `WorkerLink`."""
+        with self._writing:
+            unsent = _pieces(message)
+            while unsent:
+                unsent = _without(unsent, self._end.sendmsg(unsent))
+
+    def close(self) -> None:
+        """See `WorkerLink`."""
+        self._end.close()
+
+    def _beat(self) -> None:
+        """Say that this process lives; end it when nobody listens any more."""
+        while True:
+            time.sleep(_BEAT_SECONDS)
+            try:
+                with self._writing:
+                    self._end.sendall(_HEARTBEAT)
+            except OSError:
+                os._exit(0)
