@@ -1,5 +1,6 @@
 """Adam on one flat float32 vector (Kingma and Ba 2015, Algorithm 1), as torch.optim.Adam."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,7 +55,9 @@ def adam(
 
 def clipped(gradient: Float32, max_norm: float) -> tuple[Float32, float]:
     """The gradient, shortened to `max_norm` if longer; and its norm before."""
-    norm = float(np.sqrt(np.sum(np.square(gradient, dtype=np.float64))))
+    wide = gradient.astype(np.float64)
+    wide *= wide
+    norm = math.sqrt(wide.sum())
     if norm > max_norm:
         gradient = gradient * np.float32(max_norm / norm)
     return gradient, norm

@@ -95,13 +95,13 @@ class LocalWorkers:
 
     def _spawn(self, index: int, restart: int) -> _Child:
         name = f"local-{index}" + (f"-{restart}" if restart else "")
-        end = self.link.adopt(name)
+        inherited = self.link.adopt(name)
         command = [
             sys.executable,
             "-m",
             "workers",
             "--socket",
-            str(end.fileno()),
+            *(str(descriptor) for descriptor in inherited.descriptors),
             "--name",
             name,
             "--verbose" if self.verbose else "--no-verbose",
@@ -109,8 +109,8 @@ class LocalWorkers:
         process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
-            pass_fds=[end.fileno()],
+            pass_fds=inherited.descriptors,
             start_new_session=True,
         )
-        end.close()
+        inherited.close()
         return _Child(name, process, time.monotonic())

@@ -1,6 +1,7 @@
 """Is an answer what was asked for? Shapes by the configuration, numbers finite."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dppo.gradients import Sums
 from dppo.spaces import Spaces
@@ -29,20 +30,18 @@ def shape_objection(answer: Answer, spaces: Spaces, parameter_count: int) -> str
 
 def is_finite(answer: Answer) -> bool:
     """Are all numbers that would enter the run finite?"""
+    vectors: list[NDArray[np.floating]]
     match answer:
         case Gradient():
-            total = answer.vector.sum(dtype=np.float64) + answer.sums.sum()
+            vectors = [answer.vector, answer.sums]
         case Collected():
-            total = sum(
-                float(vector.sum())
-                for vector in (
-                    answer.obs, answer.returns, answer.advantages, answer.fit,
-                    answer.sigma_target, answer.start_sigma, answer.episodes,
-                )
-            )  # fmt: skip
+            vectors = [
+                answer.obs, answer.returns, answer.advantages, answer.fit, answer.sigma_target,
+                answer.start_sigma, answer.episodes,
+            ]  # fmt: skip
         case Measured():
-            total = answer.kl + answer.weight
-    return bool(np.isfinite(total))
+            vectors = [np.array([answer.kl, answer.weight])]
+    return all(np.isfinite(vector).all() for vector in vectors)
 
 
 def block_of(answer: Answer) -> Block:

@@ -42,20 +42,18 @@ def main(argv: list[str] | None = None) -> None:
 class _ChildArgs:
     """A worker that the learner has started itself."""
 
-    socket: int
-    """Descriptor of its end of the pair."""
+    socket: tuple[int, ...]
+    """Descriptors of its end of the pair, and of the memory that both share."""
     name: str
     verbose: bool = True
 
 
 def _serve_parent(args: _ChildArgs) -> int:
-    import socket
-
     from dppo.wire.socket_links import SocketWorkerLink
     from workers.envs import quiet
     from workers.membership import Member
 
-    link = SocketWorkerLink(socket.socket(fileno=args.socket))
+    link = SocketWorkerLink(args.socket)
     quiet()
     Member(args.name, link, float("inf")).live()
     return 0

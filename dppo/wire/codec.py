@@ -23,9 +23,38 @@ MAX_BODY = 1 << 30
 """Bytes of the longest body."""
 
 _TYPES: dict[str, type[Message]] = {kind.__name__: kind for kind in get_args(Message)}
-_HINTS = {name: get_type_hints(kind) for name, kind in _TYPES.items()}
-_DTYPES: dict[Any, str] = {NDArray[np.float32]: "<f4", NDArray[np.float64]: "<f8", bytes: "|u1"}
+_DTYPES: dict[Any, np.dtype[Any]] = {
+    NDArray[np.float32]: np.dtype("<f4"),
+    NDArray[np.float64]: np.dtype("<f8"),
+    bytes: np.dtype("|u1"),
+}
 _SCALARS: dict[Any, type] = {int: int, float: float, str: str, bool: bool}
+
+
+@dataclass(frozen=True, slots=True)
+class _Field:
+    """One field of a message, as it travels."""
+
+    name: str
+    where: str
+    hint: Any
+    dtype: np.dtype[Any] | None
+    """Of its numbers in the body; None: it is in the header."""
+
+    @property
+    def is_bytes(self) -> bool:
+        """`bytes`, not a vector."""
+        return self.hint is bytes
+
+
+_FIELDS = {
+    name: tuple(
+        _Field(field.name, f"{name}.{field.name}", hint, _DTYPES.get(hint))
+        for field in fields(kind)
+        for hint in [get_type_hints(kind)[field.name]]
+    )
+    for name, kind in _TYPES.items()
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +69,15 @@ def encode(message: Message) -> Frame:
     """The frame of a message."""
     name = type(message).__name__
     values: list[Any] = []
-    body = bytearray()
-    for field in fields(message):
-        value, hint = getattr(message, field.name), _HINTS[name][field.name]
-        if hint in _DTYPES:
-            values.append(len(value))
-            body += value if hint is bytes else np.asarray(value, _DTYPES[hint]).tobytes()
-        else:
+    parts: list[Any] = []
+    for field in _FIELDS[name]:
+        value = getattr(message, field.name)
+        if field.dtype is None:
             values.append(value)
-    return Frame(msgpack.packb([VERSION, name, values]), body)
+            continue
+        values.append(len(value))
+        parts.append(value if field.is_bytes else np.ascontiguousarray(value, field.dtype).data)
+    return Frame(msgpack.packb([VERSION, name, values]), b"".join(parts))
 
 
 def decode(frame: Frame) -> Message:
@@ -60,22 +89,25 @@ def decode(frame: Frame) -> Message:
     kind, values = _header(frame)
     decoded: dict[str, Any] = {}
     start, body = 0, memoryview(frame.body)
-    for field, value in zip(fields(kind), values, strict=True):
-        hint = _HINTS[kind.__name__][field.name]
-        where = f"{kind.__name__}.{field.name}"
-        if hint not in _DTYPES:
-            decoded[field.name] = _plain(where, hint, value)
+    for field, value in zip(_FIELDS[kind.__name__], values, strict=True):
+        if field.dtype is None:
+            decoded[field.name] = _plain(field.where, field.hint, value)
             continue
-        dtype = np.dtype(_DTYPES[hint])
-        stop = start + _length(where, value) * dtype.itemsize
+        stop = start + _length(field.where, value) * field.dtype.itemsize
         if stop > len(body):
-            raise WireError(f"{where} ends at byte {stop} of a body of {len(body)} bytes")
+            raise WireError(f"{field.where} ends at byte {stop} of a body of {len(body)} bytes")
         part = body[start:stop]
-        decoded[field.name] = bytes(part) if hint is bytes else np.frombuffer(part, dtype).copy()
+        decoded[field.name] = bytes(part) if field.is_bytes else _vector(part, field.dtype)
         start = stop
     if start != len(body):
         raise WireError(f"{kind.__name__} accounts for {start} of {len(body)} bytes of its body")
     return kind(**decoded)
+
+
+def _vector(part: memoryview, dtype: np.dtype[Any]) -> NDArray[Any]:
+    """A vector that may be written to, without a copy where the frame's body allows that."""
+    vector = np.frombuffer(part, dtype)
+    return vector if vector.flags.writeable and vector.flags.aligned else vector.copy()
 
 
 def _header(frame: Frame) -> tuple[type[Message], list[Any]]:
@@ -103,8 +135,8 @@ def _header(frame: Frame) -> tuple[type[Message], list[Any]]:
     kind = _TYPES.get(name)
     if kind is None:
         raise WireError(f"{name[:40]!r} is no message of this protocol")
-    if len(values) != len(fields(kind)):
-        raise WireError(f"{name} has {len(values)} fields, expected {len(fields(kind))}")
+    if len(values) != len(_FIELDS[name]):
+        raise WireError(f"{name} has {len(values)} fields, expected {len(_FIELDS[name])}")
     return kind, values
 
 

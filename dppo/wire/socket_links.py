@@ -4,9 +4,10 @@ Between processes of one host a frame takes one write and one read; through Zeno
 dozen threads (docs/performance.md). Nothing has a name, so nothing is left behind, and either
 process sees the other's end at once.
 
-A frame travels as the lengths of header and body, then both. A frame of length 0 is a heartbeat:
-the worker sends one twice a second from a thread of its own, so that a worker that is stopped, or
-holds Python's lock for ever, is told apart from one that only computes.
+A frame travels as the lengths of header and body and the place of the body, then both; bodies lie
+in shared memory (`shared_bodies`) where there is room. A frame of length 0 is a heartbeat: the
+worker sends one twice a second from a thread of its own, so that a worker that is stopped, or holds
+Python's lock for ever, is told apart from one that only computes.
 """
 
 import contextlib
@@ -17,6 +18,7 @@ import struct
 import threading
 import time
 from collections import deque
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from dppo.errors import WireError
@@ -24,9 +26,13 @@ from dppo.wire.codec import MAX_BODY, MAX_HEADER, Frame, encode
 from dppo.wire.inbox import decoded
 from dppo.wire.links import LearnerLink, LearnerLost, Refused, WorkerLost
 from dppo.wire.messages import Message, ToLearner, ToWorker
+from dppo.wire.shared_bodies import SharedBodies, new_memory
 
-_PREFIX = struct.Struct("<II")
-_HEARTBEAT = _PREFIX.pack(0, 0)
+_PREFIX = struct.Struct("<IIi")
+_INLINE = -1
+"""In place of a slot's number: the body follows the header."""
+_HEARTBEAT = _PREFIX.pack(0, 0, _INLINE)
+_READ_BYTES = 1 << 18
 _BEAT_SECONDS = 0.5
 SILENCE_SECONDS = 2.0
 """A worker that was heard once and then not for so long is given up."""
@@ -35,64 +41,71 @@ _MOST_PIECES = 64
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 
 
-@dataclass(slots=True)
-class _Reader:
-    """Frames out of a stream of bytes."""
+class _Channel:
+    """One end of a pair: frames in and out of a stream of bytes, bodies in shared memory."""
 
-    _target: bytearray = field(default_factory=lambda: bytearray(_PREFIX.size))
-    _filled: int = 0
-    _header: bytes | None = None
-    _lengths: tuple[int, int] | None = None
+    def __init__(self, end: socket.socket, bodies: SharedBodies | None) -> None:
+        self.end, self._bodies = end, bodies
+        self._received = bytearray()
 
-    def read(self, end: socket.socket) -> Frame | None:
-        """The next whole frame, or None if the socket has no more for now; heartbeats are skipped.
+    def frames(self) -> Iterator[Frame]:
+        """All frames that one read completes; heartbeats are skipped.
 
         Raises:
             EOFError: the other end is gone.
-            WireError: a length beyond the limits.
+            WireError: what came cannot be the beginning of a frame.
         """
-        while True:
-            if self._filled < len(self._target):
-                try:
-                    count = end.recv_into(memoryview(self._target)[self._filled :])
-                except BlockingIOError:
-                    return None
-                except ConnectionError as error:
-                    raise EOFError from error
-                if count == 0:
-                    raise EOFError
-                self._filled += count
-            if self._filled == len(self._target) and (frame := self._next()) is not None:
-                return frame
+        try:
+            data = self.end.recv(_READ_BYTES)
+        except BlockingIOError:
+            return
+        except ConnectionError as error:
+            raise EOFError from error
+        if not data:
+            raise EOFError
+        self._received += data
+        while (frame := self._next()) is not None:
+            if frame.header:
+                yield frame
 
     def _next(self) -> Frame | None:
-        """What the filled part means: go on to the next part, or a frame."""
-        part, self._filled = self._target, 0
-        if self._lengths is None:
-            header, body = _PREFIX.unpack(part)
-            if header > MAX_HEADER or body > MAX_BODY:
-                raise WireError(
-                    f"a frame of {header} + {body} bytes was announced, at most "
-                    f"{MAX_HEADER} + {MAX_BODY} are accepted"
-                )
-            if header:
-                self._lengths, self._target = (header, body), bytearray(header)
+        """The first whole frame among the received bytes."""
+        if len(self._received) < _PREFIX.size:
             return None
-        if self._header is None:
-            self._header, self._target = bytes(part), bytearray(self._lengths[1])
-            if self._target:
-                return None
-            part = self._target
-        frame = Frame(self._header, part)
-        self._header = self._lengths = None
-        self._target = bytearray(_PREFIX.size)
+        header, body, slot = _PREFIX.unpack_from(self._received)
+        if header > MAX_HEADER or body > MAX_BODY:
+            raise WireError(
+                f"a frame of {header} + {body} bytes was announced, at most "
+                f"{MAX_HEADER} + {MAX_BODY} are accepted"
+            )
+        middle = _PREFIX.size + header
+        stop = middle + (body if slot == _INLINE else 0)
+        if len(self._received) < stop:
+            return None
+        frame = Frame(
+            bytes(self._received[_PREFIX.size : middle]),
+            self._received[middle:stop] if slot == _INLINE else self._shared(slot, body),
+        )
+        del self._received[:stop]
         return frame
 
+    def _shared(self, slot: int, length: int) -> bytearray:
+        try:
+            if self._bodies is None:
+                raise ValueError("no memory is shared")
+            return self._bodies.take(slot, length)
+        except ValueError as error:
+            raise WireError(f"a body was said to be in shared memory: {error}") from error
 
-def _pieces(message: Message) -> list[memoryview]:
-    frame = encode(message)
-    prefix = _PREFIX.pack(len(frame.header), len(frame.body))
-    return [memoryview(piece) for piece in (prefix, frame.header, frame.body) if piece]
+    def pieces(self, message: Message) -> list[memoryview]:
+        """What to write for a message."""
+        frame = encode(message)
+        slot = None if self._bodies is None else self._bodies.put(frame.body)
+        prefix = _PREFIX.pack(
+            len(frame.header), len(frame.body), _INLINE if slot is None else slot
+        )
+        body = [memoryview(frame.body)] if slot is None and frame.body else []
+        return [memoryview(prefix + frame.header), *body]
 
 
 def _without(pieces: list[memoryview], count: int) -> list[memoryview]:
@@ -108,8 +121,7 @@ def _without(pieces: list[memoryview], count: int) -> list[memoryview]:
 class _Peer:
     """The learner's end of one worker's pair."""
 
-    end: socket.socket
-    reader: _Reader = field(default_factory=_Reader)
+    channel: _Channel
     unsent: list[memoryview] = field(default_factory=list)
     heard: float | None = None
     """When bytes last came; None: it has not started yet."""
@@ -128,16 +140,18 @@ class SocketLearnerLink:
         self._poll = select.poll()
         self._poll.register(alarm, select.POLLIN)
 
-    def adopt(self, name: str) -> socket.socket:
-        """A new pair for the worker `name`; the worker's end, for its process to inherit."""
+    def adopt(self, name: str) -> "Inheritance":
+        """A new pair for the worker `name`: what its process has to inherit."""
         ours, theirs = socket.socketpair()
         for end in (ours, theirs):
             for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
                 end.setsockopt(socket.SOL_SOCKET, option, _BUFFER)
         ours.setblocking(False)
-        self._peers[name], self._names[ours.fileno()] = _Peer(ours), name
+        memory = new_memory()
+        bodies = None if memory is None else SharedBodies(memory, is_learner=True)
+        self._peers[name], self._names[ours.fileno()] = _Peer(_Channel(ours, bodies)), name
         self._poll.register(ours, select.POLLIN)
-        return theirs
+        return Inheritance(theirs, memory)
 
     def __contains__(self, name: str) -> bool:
         """Is there a pair for this worker, not given up?"""
@@ -167,7 +181,7 @@ class SocketLearnerLink:
             self._others.send(worker, message)
             return
         waiting = bool(peer.unsent)
-        peer.unsent += _pieces(message)
+        peer.unsent += peer.channel.pieces(message)
         if not waiting:
             self._flush(worker, peer)
 
@@ -197,8 +211,7 @@ class SocketLearnerLink:
 
     def _read(self, name: str, peer: _Peer) -> None:
         try:
-            while (frame := peer.reader.read(peer.end)) is not None:
-                self._events.append(decoded(frame))
+            self._events.extend(decoded(frame) for frame in peer.channel.frames())
         except WireError as error:  # out of step: nothing behind it can be read
             self._events.append(Refused(f"from worker {name}: {error}"))
             self._lose(name)
@@ -209,21 +222,21 @@ class SocketLearnerLink:
         """Write what the socket takes; come back for the rest when it takes more."""
         try:
             while peer.unsent:
-                count = peer.end.sendmsg(peer.unsent[:_MOST_PIECES])
+                count = peer.channel.end.sendmsg(peer.unsent[:_MOST_PIECES])
                 peer.unsent = _without(peer.unsent, count)
         except BlockingIOError:
-            self._poll.modify(peer.end, select.POLLIN | select.POLLOUT)
+            self._poll.modify(peer.channel.end, select.POLLIN | select.POLLOUT)
         except ConnectionError:
             self._lose(name)
         else:
-            self._poll.modify(peer.end, select.POLLIN)
+            self._poll.modify(peer.channel.end, select.POLLIN)
 
     def _give_up_silent_ones(self) -> None:
         """Called when everything has been read: what this process slept through does not count."""
         now = time.monotonic()
         for name, peer in list(self._peers.items()):
             silent = peer.heard is not None and now - peer.heard > SILENCE_SECONDS
-            if silent and not select.select([peer.end], [], [], 0)[0]:
+            if silent and not select.select([peer.channel.end], [], [], 0)[0]:
                 self._lose(name)
 
     def _lose(self, name: str) -> None:
@@ -232,9 +245,28 @@ class SocketLearnerLink:
 
     def _drop(self, name: str) -> None:
         peer = self._peers.pop(name)
-        del self._names[peer.end.fileno()]
-        self._poll.unregister(peer.end)
-        peer.end.close()
+        del self._names[peer.channel.end.fileno()]
+        self._poll.unregister(peer.channel.end)
+        peer.channel.end.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Inheritance:
+    """What a worker's process inherits: its end of the pair, and the memory if there is any."""
+
+    end: socket.socket
+    memory: int | None
+
+    @property
+    def descriptors(self) -> tuple[int, ...]:
+        """For the new process, in this order."""
+        return (self.end.fileno(), *(() if self.memory is None else (self.memory,)))
+
+    def close(self) -> None:
+        """Once the new process has them, this one needs them no more."""
+        self.end.close()
+        if self.memory is not None:
+            os.close(self.memory)
 
 
 class Alarm:
@@ -263,8 +295,11 @@ class Alarm:
 class SocketWorkerLink:
     """A `WorkerLink` to the learner that started this process. There is no other to wait for."""
 
-    def __init__(self, end: socket.socket) -> None:
-        self._end, self._reader = end, _Reader()
+    def __init__(self, descriptors: Sequence[int]) -> None:
+        """`descriptors`: as in `Inheritance`."""
+        self._end = socket.socket(fileno=descriptors[0])
+        bodies = SharedBodies(descriptors[1], is_learner=False) if descriptors[1:] else None
+        self._channel, self._frames = _Channel(self._end, bodies), deque[Frame]()
         self._writing = threading.Lock()
         threading.Thread(target=self._beat, daemon=True).start()
 
@@ -274,20 +309,22 @@ class SocketWorkerLink:
         Raises:
             BrokenPipeError: the learner is gone, and with it the reason to live.
         """
-        if not select.select([self._end], [], [], timeout)[0]:
-            return None
-        try:
-            frame = self._reader.read(self._end)
-        except EOFError as error:
-            raise BrokenPipeError("the learner is gone") from error
-        assert frame is not None
-        message: ToWorker | Refused = decoded(frame)
+        deadline = time.monotonic() + timeout
+        while not self._frames:
+            left = deadline - time.monotonic()
+            if left <= 0 or not select.select([self._end], [], [], left)[0]:
+                return None
+            try:
+                self._frames.extend(self._channel.frames())
+            except EOFError as error:
+                raise BrokenPipeError("the learner is gone") from error
+        message: ToWorker | Refused = decoded(self._frames.popleft())
         return message
 
     def send(self, message: ToLearner) -> None:
         """See `WorkerLink`."""
         with self._writing:
-            unsent = _pieces(message)
+            unsent = self._channel.pieces(message)
             while unsent:
                 unsent = _without(unsent, self._end.sendmsg(unsent))
 
