@@ -41,10 +41,13 @@ class Columns:
         """[..., N]."""
         return table[..., -1]
 
-    def targets(self, table: Float32, count: int) -> Float32:
-        """[count, ..., N] of the critics' table: V's, then σ's if `count` is 2."""
-        first = self.obs_size
-        return np.moveaxis(table[..., first : first + count], -1, 0)
+    def v_target(self, table: Float32) -> Float32:
+        """[..., N], of the critics' table."""
+        return table[..., self.obs_size]
+
+    def sigma_target(self, table: Float32) -> Float32:
+        """[..., N], of the critics' table; in units of the variance network's output."""
+        return table[..., self.obs_size + 1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,11 +104,6 @@ class Experience:
     def advantage(self) -> Float32:
         """[N] A, to be written once the moments over all slots are known."""
         return self.columns.advantage(self.policy)
-
-    @property
-    def is_complete(self) -> bool:
-        """The advantage is known."""
-        return not np.isnan(self.advantage[0])
 
 
 def critics_table(obs: Float32, v_target: FloatArray, sigma_target: FloatArray) -> Float32:

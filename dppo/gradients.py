@@ -20,7 +20,7 @@ from dppo.distributions import Distribution
 from dppo.experience import Experience
 from dppo.losses import kl_weight, policy_objective, softplus, softplus_derivative
 from dppo.moments import FloatArray
-from dppo.networks import Networks
+from dppo.networks import Networks, row_of_ones
 from dppo.streams import stream
 
 Float32 = NDArray[np.float32]
@@ -50,11 +50,6 @@ class Sums:
     def from_vector(cls, vector: FloatArray) -> Self:
         """From the form that travels, the fields in order."""
         return cls(**dict(zip(_COLUMN, map(float, vector), strict=True)))
-
-    @property
-    def is_skip(self) -> bool:
-        """The policy part is a skip token: KL measured, no gradient."""
-        return self.kl_weight > self.policy_weight
 
     @property
     def mean_kl(self) -> float:
@@ -129,7 +124,7 @@ def block_gradient(
         worker`, or whose minibatch has no policy rows, has a zero policy part of weight 0: the
         skip token (Heess et al., Algorithm 3: "break").
     """
-    vectors = np.zeros((len(experiences), networks.size), np.float32)
+    vectors = np.empty((len(experiences), networks.size), np.float32)
     sums = np.zeros((len(experiences), len(_COLUMN)))
     active = [index for index, batch in enumerate(minibatches) if batch.policy is not None]
     if active:
@@ -142,7 +137,10 @@ def block_gradient(
             networks, distribution, parameters, chosen, rows, beta, config, gradient
         )
         if not everyone:
+            part[:] = 0
             part[active] = gradient
+    else:
+        vectors[:, networks.parts["policy"]] = 0
     fitted = [batch.critics for batch in minibatches if batch.critics is not None]
     if fitted:
         positive = config.safety.sigma_head == "softplus"
@@ -150,7 +148,14 @@ def block_gradient(
         sums[:, _COLUMN["critic_weight"]] = len(fitted[0])
         for name, loss in zip(("value_loss", "variance_loss"), losses, strict=False):
             sums[:, _COLUMN[name]] = loss
+    else:
+        vectors[:, networks.critics] = 0
     return vectors, sums
+
+
+def skips(sums: FloatArray) -> NDArray[np.bool_]:
+    """[S] whose policy part is a skip token: KL measured, no gradient; from rows of `Sums`."""
+    return sums[:, _COLUMN["kl_weight"]] > sums[:, _COLUMN["policy_weight"]]
 
 
 def slot_kl(
@@ -211,7 +216,7 @@ def _policy_gradient(
     )
     if networks.log_std_size:
         slope = w * d_kl_std - g * d_log_prob_std
-        gradient[:, networks.policy.size :] = (np.ones((1, count), np.float32) @ slope)[:, 0]
+        gradient[:, networks.policy.size :] = (row_of_ones(count) @ slope)[:, 0]
     gradient[skips] = 0.0
     facts = np.zeros((len(rows), len(_COLUMN)))
     facts[:, _COLUMN["policy_weight"]] = np.where(skips, 0.0, count)
@@ -241,11 +246,14 @@ def _critic_gradients(
     vector = parameters[critics].reshape(count, 1, mlp.size)
     output, inputs = mlp.forward(vector, columns.obs(table))
     raw = output[..., 0]
-    error = raw - columns.targets(table, count)
-    if positive and count == 2:
-        error[1] = softplus(raw[1]) - columns.targets(table, count)[1]
+    is_softplus = positive and count == 2
+    error = np.empty(raw.shape, np.float32)
+    np.subtract(raw[0], columns.v_target(table), out=error[0])
+    if count == 2:
+        sigma = softplus(raw[1]) if is_softplus else raw[1]
+        np.subtract(sigma, columns.sigma_target(table), out=error[1])
     slope = 2 * error
-    if positive and count == 2:
+    if is_softplus:
         slope[1] *= softplus_derivative(raw[1])
     gradient = vectors[:, critics].reshape(len(rows), count, mlp.size).swapaxes(0, 1)
     mlp.backward(vector, inputs, slope[..., None], gradient)

@@ -10,7 +10,7 @@ gradient against torch's.
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Literal
 
@@ -42,13 +42,14 @@ class Mlp:
 
     def layers(self, vector: Float32) -> list[tuple[Float32, Float32]]:
         """Views (W [..., I, O], b [..., O]) of each layer into vectors [..., `size`]."""
-        views, start = [], 0
-        for inputs, outputs in pairwise(self.sizes):
-            middle, stop = start + inputs * outputs, start + (inputs + 1) * outputs
-            weight = vector[..., start:middle].reshape(*vector.shape[:-1], inputs, outputs)
-            views.append((weight, vector[..., middle:stop]))
-            start = stop
-        return views
+        lead = vector.shape[:-1]
+        return [
+            (
+                vector[..., start:middle].reshape(*lead, inputs, outputs),
+                vector[..., middle:stop],
+            )
+            for start, middle, stop, inputs, outputs in _layout(self.sizes)
+        ]
 
     def forward(self, vector: Float32, x: Float32) -> tuple[Float32, list[Float32]]:
         """Output [..., N, K] of x [..., N, O]; each layer's input for `backward`.
@@ -73,7 +74,7 @@ class Mlp:
         Sums over N, not over the axes before it.
         """
         layers, gradients = self.layers(vector), self.layers(gradient)
-        ones = np.ones((1, d_output.shape[-2]), np.float32)
+        ones = row_of_ones(d_output.shape[-2])
         for index in range(len(layers) - 1, -1, -1):
             x, (d_weight, d_bias) = inputs[index], gradients[index]
             np.matmul(x.swapaxes(-1, -2), d_output, out=d_weight)
@@ -98,6 +99,23 @@ class Mlp:
                 gain = last_gain if index == len(layers) - 1 else math.sqrt(2)
                 weight[:] = gain * _orthogonal(rng, *weight.shape)
         return vector
+
+
+@cache
+def _layout(sizes: tuple[int, ...]) -> tuple[tuple[int, int, int, int, int], ...]:
+    """Where W and b of each layer begin and end, and the layer's inputs and outputs."""
+    layout, start = [], 0
+    for inputs, outputs in pairwise(sizes):
+        middle = start + inputs * outputs
+        layout.append((start, middle, middle + outputs, inputs, outputs))
+        start = middle + outputs
+    return tuple(layout)
+
+
+@cache
+def row_of_ones(count: int) -> Float32:
+    """[1, count] to sum over samples by a matrix product: the fastest exact way."""
+    return np.ones((1, count), np.float32)
 
 
 def _orthogonal(rng: np.random.Generator, rows: int, columns: int) -> NDArray[np.float64]:

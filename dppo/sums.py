@@ -64,6 +64,14 @@ def block_sum(parts: Mapping[Block, NDArray[Scalar]], block: Block) -> NDArray[S
     return total
 
 
+def sum_rows(rows: NDArray[Scalar]) -> NDArray[Scalar]:
+    """The sum of an aligned block whose slots are the rows [2^k, F], as `tree_sum` adds them."""
+    while len(rows) > 1:
+        rows = rows[0::2] + rows[1::2]
+    total: NDArray[Scalar] = rows[0]
+    return total
+
+
 def whole(num_slots: int) -> Block:
     """The root of the tree over all slots."""
     return 0, 1 << (num_slots - 1).bit_length()

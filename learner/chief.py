@@ -58,6 +58,9 @@ class Chief:
         self._networks, self._config, self._generation = networks, config, generation
         self._exchange, self._ledger = exchange, ledger
         self._parameters = state.parameters
+        part, head = networks.parts["policy"], networks.policy.size
+        self._rate_factors = np.ones(part.stop - part.start, np.float32)
+        self._rate_factors[head:] = networks.log_std_rate(config.network)
 
     def iterate(self) -> IterationReport:
         """One iteration: collect, M and B updates, adaptation. `state` is then the next one's."""
@@ -177,10 +180,7 @@ class Chief:
 
     def _policy_rates(self, rate: float) -> Float32:
         """[policy's part] step sizes; log std has a factor of its own."""
-        part = self._networks.parts["policy"]
-        rates = np.full(part.stop - part.start, rate, np.float32)
-        rates[self._networks.policy.size :] *= self._networks.log_std_rate(self._config.network)
-        return rates
+        return np.float32(rate) * self._rate_factors
 
     def _adapt(self, collected: list[Collected], training: Training) -> None:
         """β (and the servo) by the final KL, ψ by σ(s_0) under a variance limit."""

@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from dppo.config import Config
 from dppo.distributions import distribution_of
 from dppo.experience import Experience
-from dppo.gradients import Minibatch, Sums, block_gradient, slot_kl
+from dppo.gradients import Minibatch, block_gradient, skips, slot_kl
 from dppo.losses import AdvantageStatistics, combine
 from dppo.moments import Moments
 from dppo.networks import Networks
 from dppo.normalizer import Statistics
 from dppo.rollout import prepare
 from dppo.spaces import Spaces
-from dppo.sums import aligned_blocks, block_sum, members
+from dppo.sums import aligned_blocks, members, sum_rows
 from dppo.wire.links import WorkerLink
 from dppo.wire.messages import Collect, Collected, Gradient, Measure, Measured, Restore, Update
 from workers.slots import Slots
@@ -49,6 +49,8 @@ class Worker:
         self._boundary: dict[int, tuple[int, bytes]] = {}
         """Of each slot, the iteration it will collect next, and its snapshot."""
         self._lessons: dict[int, Experience] = {}
+        self._complete: set[int] = set()
+        """Slots whose lessons have their advantage."""
         self._collect_task: Collect | None = None
 
     def perform(self, task: Restore | Collect | Update | Measure) -> None:
@@ -107,6 +109,7 @@ class Worker:
             if self._config.update.critic_replay:
                 slots.replays[index] = kept
             self._lessons[index] = experience
+            self._complete.discard(index)
             snapshot = slots.snapshot(index)
             self._boundary[index] = slots.iteration, snapshot
             self._link.send(
@@ -131,11 +134,11 @@ class Worker:
     def _update(self, task: Update) -> None:
         """The gradient of this update's minibatch, summed over each aligned block of slots."""
         vectors, sums = self._gradients(task)
-        row = {index: number for number, index in enumerate(task.slots)}
+        skipping = skips(sums)
         for block in aligned_blocks(task.slots):
             first, size = block
-            rows = {(index, 1): row[index] for index in members(block)}
-            skips = [Sums.from_vector(sums[number]).is_skip for number in rows.values()]
+            start = task.slots.index(first)  # the slots of a block are neighbours, in order
+            rows = slice(start, start + size)
             self._link.send(
                 Gradient(
                     worker=self._name,
@@ -144,24 +147,26 @@ class Worker:
                     round=task.round,
                     first=first,
                     size=size,
-                    stopped=tuple(compress(members(block), skips)),
-                    vector=block_sum(
-                        {leaf: vectors[number] for leaf, number in rows.items()}, block
-                    ),
-                    sums=block_sum({leaf: sums[number] for leaf, number in rows.items()}, block),
+                    stopped=tuple(compress(members(block), skipping[rows])),
+                    vector=sum_rows(vectors[rows]),
+                    sums=sum_rows(sums[rows]),
                 )
             )
 
     def _gradients(self, task: Update) -> tuple[Float32, NDArray[np.float64]]:
         """A row per slot of the task."""
-        statistics = AdvantageStatistics(Moments.from_vector(task.advantages))
         lessons, minibatches = [], []
         for index in task.slots:
             lesson, collect = self._lesson(index, task.iteration)
-            if not lesson.is_complete:
+            if index not in self._complete:
                 lesson.advantage[:] = combine(
-                    lesson.a_v, lesson.a_sigma, collect.psi, statistics, self._config.safety
+                    lesson.a_v,
+                    lesson.a_sigma,
+                    collect.psi,
+                    AdvantageStatistics(Moments.from_vector(task.advantages)),
+                    self._config.safety,
                 )
+                self._complete.add(index)
             stored = len(lesson.critics)
             rows = Minibatch.of(self._config, index, task.iteration, task.round - 1, stored)
             if index in task.stopped:

@@ -97,17 +97,13 @@ def decode(frame: Frame) -> Message:
         if stop > len(body):
             raise WireError(f"{field.where} ends at byte {stop} of a body of {len(body)} bytes")
         part = body[start:stop]
-        decoded[field.name] = bytes(part) if field.is_bytes else _vector(part, field.dtype)
+        decoded[field.name] = (
+            bytes(part) if field.is_bytes else np.frombuffer(part, field.dtype).copy()
+        )
         start = stop
     if start != len(body):
         raise WireError(f"{kind.__name__} accounts for {start} of {len(body)} bytes of its body")
     return kind(**decoded)
-
-
-def _vector(part: memoryview, dtype: np.dtype[Any]) -> NDArray[Any]:
-    """A vector that may be written to, without a copy where the frame's body allows that."""
-    vector = np.frombuffer(part, dtype)
-    return vector if vector.flags.writeable and vector.flags.aligned else vector.copy()
 
 
 def _header(frame: Frame) -> tuple[type[Message], list[Any]]:

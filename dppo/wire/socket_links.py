@@ -4,35 +4,28 @@ Between processes of one host a frame takes one write and one read; through Zeno
 dozen threads (docs/performance.md). Nothing has a name, so nothing is left behind, and either
 process sees the other's end at once.
 
-A frame travels as the lengths of header and body and the place of the body, then both; bodies lie
-in shared memory (`shared_bodies`) where there is room. A frame of length 0 is a heartbeat: the
-worker sends one twice a second from a thread of its own, so that a worker that is stopped, or holds
-Python's lock for ever, is told apart from one that only computes.
+Twice a second a worker sends a heartbeat from a thread of its own, so that one that is stopped, or
+holds Python's lock for ever, is told apart from one that only computes.
 """
 
 import contextlib
 import os
 import select
 import socket
-import struct
 import threading
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from dppo.errors import WireError
-from dppo.wire.codec import MAX_BODY, MAX_HEADER, Frame, encode
+from dppo.wire.channel import HEARTBEAT, Channel, without
+from dppo.wire.codec import Frame
 from dppo.wire.inbox import decoded
 from dppo.wire.links import LearnerLink, LearnerLost, Refused, WorkerLost
-from dppo.wire.messages import Message, ToLearner, ToWorker
+from dppo.wire.messages import ToLearner, ToWorker
 from dppo.wire.shared_bodies import SharedBodies, new_memory
 
-_PREFIX = struct.Struct("<IIi")
-_INLINE = -1
-"""In place of a slot's number: the body follows the header."""
-_HEARTBEAT = _PREFIX.pack(0, 0, _INLINE)
-_READ_BYTES = 1 << 18
 _BEAT_SECONDS = 0.5
 SILENCE_SECONDS = 2.0
 """A worker that was heard once and then not for so long is given up."""
@@ -41,87 +34,11 @@ _MOST_PIECES = 64
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
 
 
-class _Channel:
-    """One end of a pair: frames in and out of a stream of bytes, bodies in shared memory."""
-
-    def __init__(self, end: socket.socket, bodies: SharedBodies | None) -> None:
-        self.end, self._bodies = end, bodies
-        self._received = bytearray()
-
-    def frames(self) -> Iterator[Frame]:
-        """All frames that one read completes; heartbeats are skipped.
-
-        Raises:
-            EOFError: the other end is gone.
-            WireError: what came cannot be the beginning of a frame.
-        """
-        try:
-            data = self.end.recv(_READ_BYTES)
-        except BlockingIOError:
-            return
-        except ConnectionError as error:
-            raise EOFError from error
-        if not data:
-            raise EOFError
-        self._received += data
-        while (frame := self._next()) is not None:
-            if frame.header:
-                yield frame
-
-    def _next(self) -> Frame | None:
-        """The first whole frame among the received bytes."""
-        if len(self._received) < _PREFIX.size:
-            return None
-        header, body, slot = _PREFIX.unpack_from(self._received)
-        if header > MAX_HEADER or body > MAX_BODY:
-            raise WireError(
-                f"a frame of {header} + {body} bytes was announced, at most "
-                f"{MAX_HEADER} + {MAX_BODY} are accepted"
-            )
-        middle = _PREFIX.size + header
-        stop = middle + (body if slot == _INLINE else 0)
-        if len(self._received) < stop:
-            return None
-        frame = Frame(
-            bytes(self._received[_PREFIX.size : middle]),
-            self._received[middle:stop] if slot == _INLINE else self._shared(slot, body),
-        )
-        del self._received[:stop]
-        return frame
-
-    def _shared(self, slot: int, length: int) -> bytearray:
-        try:
-            if self._bodies is None:
-                raise ValueError("no memory is shared")
-            return self._bodies.take(slot, length)
-        except ValueError as error:
-            raise WireError(f"a body was said to be in shared memory: {error}") from error
-
-    def pieces(self, message: Message) -> list[memoryview]:
-        """What to write for a message."""
-        frame = encode(message)
-        slot = None if self._bodies is None else self._bodies.put(frame.body)
-        prefix = _PREFIX.pack(
-            len(frame.header), len(frame.body), _INLINE if slot is None else slot
-        )
-        body = [memoryview(frame.body)] if slot is None and frame.body else []
-        return [memoryview(prefix + frame.header), *body]
-
-
-def _without(pieces: list[memoryview], count: int) -> list[memoryview]:
-    """What is left of the pieces when `count` bytes are gone."""
-    for number, piece in enumerate(pieces):
-        if count < len(piece):
-            return [piece[count:], *pieces[number + 1 :]]
-        count -= len(piece)
-    return []
-
-
 @dataclass(slots=True)
 class _Peer:
     """The learner's end of one worker's pair."""
 
-    channel: _Channel
+    channel: Channel
     unsent: list[memoryview] = field(default_factory=list)
     heard: float | None = None
     """When bytes last came; None: it has not started yet."""
@@ -149,7 +66,7 @@ class SocketLearnerLink:
         ours.setblocking(False)
         memory = new_memory()
         bodies = None if memory is None else SharedBodies(memory, is_learner=True)
-        self._peers[name], self._names[ours.fileno()] = _Peer(_Channel(ours, bodies)), name
+        self._peers[name], self._names[ours.fileno()] = _Peer(Channel(ours, bodies)), name
         self._poll.register(ours, select.POLLIN)
         return Inheritance(theirs, memory)
 
@@ -223,7 +140,7 @@ class SocketLearnerLink:
         try:
             while peer.unsent:
                 count = peer.channel.end.sendmsg(peer.unsent[:_MOST_PIECES])
-                peer.unsent = _without(peer.unsent, count)
+                peer.unsent = without(peer.unsent, count)
         except BlockingIOError:
             self._poll.modify(peer.channel.end, select.POLLIN | select.POLLOUT)
         except ConnectionError:
@@ -299,7 +216,7 @@ class SocketWorkerLink:
         """`descriptors`: as in `Inheritance`."""
         self._end = socket.socket(fileno=descriptors[0])
         bodies = SharedBodies(descriptors[1], is_learner=False) if descriptors[1:] else None
-        self._channel, self._frames = _Channel(self._end, bodies), deque[Frame]()
+        self._channel, self._frames = Channel(self._end, bodies), deque[Frame]()
         self._writing = threading.Lock()
         threading.Thread(target=self._beat, daemon=True).start()
 
@@ -326,7 +243,7 @@ class SocketWorkerLink:
         with self._writing:
             unsent = self._channel.pieces(message)
             while unsent:
-                unsent = _without(unsent, self._end.sendmsg(unsent))
+                unsent = without(unsent, self._end.sendmsg(unsent))
 
     def close(self) -> None:
         """See `WorkerLink`."""
@@ -338,6 +255,6 @@ class SocketWorkerLink:
             time.sleep(_BEAT_SECONDS)
             try:
                 with self._writing:
-                    self._end.sendall(_HEARTBEAT)
+                    self._end.sendall(HEARTBEAT)
             except OSError:
                 os._exit(0)

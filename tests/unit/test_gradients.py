@@ -115,7 +115,7 @@ def _torch_loss(block, slot, rows, parameters):
     experience, networks, kl = block.experiences[slot], block.networks, block.config.kl
     table, seen_by = experience.policy[rows.policy], experience.critics[rows.critics]
     columns = experience.columns
-    v_target, sigma_target = columns.targets(seen_by, 2)
+    v_target, sigma_target = columns.v_target(seen_by), columns.sigma_target(seen_by)
     layers, log_std = networks.split_policy(parameters)
     old = _policies(block, _double(columns.output_old(table)), _double(experience.log_std_old))
     new = _policies(block, _forward(networks.policy, layers, _double(columns.obs(table))), log_std)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dppo.adam import Float32
-from dppo.sums import Block, aligned_blocks, block_sum, members, tree_sum, whole
+from dppo.sums import Block, aligned_blocks, block_sum, members, sum_rows, tree_sum, whole
 
 subsets = st.sets(st.integers(0, 15))
 quick = settings(deadline=None, max_examples=50)
@@ -136,3 +136,11 @@ def test_summing_changes_no_part():
 )
 def test_the_root_is_the_next_power_of_two(slots, size):
     assert whole(slots) == (0, size)
+
+
+@pytest.mark.parametrize("size", [1, 2, 4, 8])
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_sum_of_rows_is_the_sum_of_the_tree_to_the_bit(size, dtype):
+    rows = np.random.default_rng(size).normal(size=(size, 1001)).astype(dtype)
+    leaves = {(slot, 1): row for slot, row in enumerate(rows)}
+    assert sum_rows(rows).tobytes() == block_sum(leaves, (0, size)).tobytes()
