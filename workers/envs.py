@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dppo.config import RunConfig
 from dppo.errors import UsageError
 from dppo.spaces import Spaces
+from workers import four_rooms
 
 Env = gymnasium.Env[Any, Any]
 Exactness = Literal["captured", "replayed", "off"]
@@ -34,6 +35,7 @@ def make_env(config: RunConfig) -> Env:
     Raises:
         UsageError: unknown id (with near names), wrong keyword arguments, missing packages.
     """
+    four_rooms.register()
     known = sorted(gymnasium.registry)
     name = config.env.rpartition(":")[2]
     if ":" not in config.env and name not in known:
