@@ -1,15 +1,15 @@
 """`dppo four-rooms`: runs the experiment and writes its results, figures and report."""
 
 import json
-import sys
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from dppo.errors import UsageError
+from dppo.four_rooms.agent import Outcome, Progress
+from dppo.four_rooms.console import Console
 from dppo.four_rooms.experiment import (
     Arm,
     ArmOutcome,
@@ -24,9 +24,6 @@ from dppo.four_rooms.settings import AgentConfig
 from dppo.four_rooms.world import World, WorldConfig
 from dppo.process import Terminated, usable_cores
 from dppo.settings import require
-
-_PLAIN_SECONDS = 5.0
-"""Lines of progress, where there is no terminal, come no faster than this."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,9 +126,14 @@ def _learn(args: FourRoomsArgs) -> tuple[list[ArmOutcome], bool]:
         jobs=args.jobs or usable_cores(),
     )
     try:
-        with closing(events), _progress(len(trials) * args.episodes) as advance:
-            for episodes in collector.take(events):
-                advance(episodes)
+        with closing(events), Console(len(trials) * args.episodes) as console:
+            for event in events:
+                match event:
+                    case Progress():
+                        console.advance(event.episodes)
+                    case Outcome():
+                        for arm in collector.add(event):
+                            console.say(f"{arm.key} has finished")
     except (KeyboardInterrupt, Terminated):
         return collector.finished(), True
     return collector.finished(), False
@@ -161,26 +163,3 @@ def _write(
     (folder / "results.json").write_text(json.dumps(results) + "\n")
     (folder / "report.md").write_text(report(results, names))
     return results
-
-
-def _progress(episodes: int) -> AbstractContextManager[Callable[[int], None]]:
-    """A bar on a terminal, plain lines elsewhere."""
-    if not sys.stdout.isatty():
-        return nullcontext(_Lines(episodes))
-    from dppo.four_rooms.bar import bar
-
-    return bar(episodes)
-
-
-class _Lines:
-    """Progress as lines of text."""
-
-    def __init__(self, episodes: int) -> None:
-        self._done, self._all, self._shown = 0, episodes, time.monotonic()
-
-    def __call__(self, episodes: int) -> None:
-        self._done += episodes
-        now = time.monotonic()
-        if self._done == self._all or now - self._shown >= _PLAIN_SECONDS:
-            self._shown = now
-            print(f"{self._done / self._all:6.1%}  {self._done:,} episodes", flush=True)

@@ -1,12 +1,12 @@
 """Which agents are compared, and what each of them has learned."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dppo.four_rooms.agent import Outcome, Progress, Trial
+from dppo.four_rooms.agent import Outcome, Trial
 from dppo.four_rooms.mdp import Floats
 from dppo.four_rooms.settings import AgentConfig
 
@@ -78,25 +78,21 @@ class Collector:
         self._arms, self._trials = list(arms), trials
         self._found: dict[tuple[AgentConfig, int], Outcome] = {}
 
-    def take(self, events: Iterable[Outcome | Progress]) -> Iterator[int]:
-        """Keep the outcomes; hand on how many episodes have passed."""
-        for event in events:
-            match event:
-                case Progress(episodes):
-                    yield episodes
-                case Outcome():
-                    self._found[event.trial.agent, event.trial.number] = event
+    def add(self, outcome: Outcome) -> list[Arm]:
+        """Keep a finished trial; the arms that it completes."""
+        agent = outcome.trial.agent
+        self._found[agent, outcome.trial.number] = outcome
+        return [arm for arm in self._arms if arm.agent == agent and self._is_complete(arm)]
 
     def finished(self) -> list[ArmOutcome]:
         """The arms whose trials are all there.
 
         An arm that lacks trials is left out: the first to finish are those with short episodes.
         """
-        return [
-            self._gather(arm)
-            for arm in self._arms
-            if all((arm.agent, number) in self._found for number in range(self._trials))
-        ]
+        return [self._gather(arm) for arm in self._arms if self._is_complete(arm)]
+
+    def _is_complete(self, arm: Arm) -> bool:
+        return all((arm.agent, number) in self._found for number in range(self._trials))
 
     def _gather(self, arm: Arm) -> ArmOutcome:
         found = [self._found[arm.agent, number] for number in range(self._trials)]
