@@ -13,7 +13,7 @@ Summary = dict[str, Any]
 
 def learning_curves(arms: Sequence[Summary]) -> Figure:
     """The paper's figure 2: mean return over the episodes, bands of ± one standard deviation."""
-    drawing, axes = figure(TEXT_WIDTH, 2.3)
+    drawing, (axes,) = figure(TEXT_WIDTH, 2.3)
     for arm, colour, dashes in zip(arms, (BLUE, RED), ("--", "-"), strict=False):
         curve = arm["curve"]
         episode, mean, std = (np.array(curve[name]) for name in ("episode", "mean", "std"))

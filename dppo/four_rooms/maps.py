@@ -19,7 +19,7 @@ Cells = NDArray[np.intp]
 
 def map_figure(world: World) -> Figure:
     """The paper's figure 1."""
-    drawing, axes = figure(2.6, 2.45)
+    drawing, (axes,) = figure(2.6, 2.45)
     _rooms(axes, world)
     row, column = world.cells[world.goal]
     axes.text(column, row, "G", ha="center", va="center", color="white", weight="bold")

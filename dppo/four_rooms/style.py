@@ -19,12 +19,13 @@ LOOK: dict[Any, Any] = {
 }  # fmt: skip
 
 
-def figure(width: float, height: float, *, columns: int = 1, rows: int = 1) -> tuple[Figure, Any]:
-    """A figure without a window, in inches, and its axes: one, or a flat list."""
+def figure(
+    width: float, height: float, *, columns: int = 1, rows: int = 1
+) -> tuple[Figure, list[Any]]:
+    """A figure without a window, in inches, and its axes, row by row."""
     drawing = Figure(figsize=(width, height), layout="constrained")
     drawing.get_layout_engine().set(w_pad=0.02, h_pad=0.02, wspace=0.02, hspace=0.03)  # type: ignore[union-attr,call-arg]
-    panels = drawing.subplots(rows, columns, squeeze=False, sharex=True).ravel()
-    return drawing, panels[0] if len(panels) == 1 else panels
+    return drawing, list(drawing.subplots(rows, columns, squeeze=False, sharex=True).ravel())
 
 
 def look() -> Any:  # noqa: ANN401  a context manager of matplotlib's
