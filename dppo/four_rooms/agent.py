@@ -55,7 +55,7 @@ def learn(
 ) -> Iterator[Outcome | Progress]:
     """Run the trials; each comes out as soon as it has finished."""
     batch = _Batch(world, trials, episodes)
-    batch.begin(np.arange(len(trials)), draw(world, seed, "learn", batch.numbers, 0), 0)
+    batch.begin(np.arange(len(trials)), draw(world, seed, "begin", batch.numbers, 0), 0)
     block = 0
     while batch.trials:
         before = int(np.minimum(batch.episode, episodes).sum())

@@ -150,13 +150,12 @@ def _write(
     """results.json, the figures and report.md; the results."""
     from dppo.four_rooms.pictures import save_pictures
     from dppo.four_rooms.report import report
-    from dppo.four_rooms.results import describe, test_runs
+    from dppo.four_rooms.results import describe, measure
 
     begun = time.monotonic()
-    world = World(args.world)
-    tests = test_runs(world, outcomes, args.seed)
-    results = describe(world, outcomes, seed=args.seed, tests=tests)
-    names = save_pictures(folder, world, outcomes, results, tests)
+    findings = measure(World(args.world), outcomes, seed=args.seed)
+    results = describe(findings)
+    names = save_pictures(folder, findings, results)
     results["status"] = "stopped" if stopped else "finished"
     results["jobs"] = args.jobs or usable_cores()
     results["seconds"] = seconds | {"measuring and drawing": time.monotonic() - begun}

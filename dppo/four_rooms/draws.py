@@ -16,8 +16,8 @@ from dppo.streams import stream
 
 BLOCK = 2048
 """K: steps that are drawn at once."""
-Use = Literal["learn", "test", "walk", "bootstrap"]
-_USES: tuple[Use, ...] = ("learn", "test", "walk", "bootstrap")
+Use = Literal["begin", "learn", "test", "walk", "bootstrap"]
+_USES: tuple[Use, ...] = ("begin", "learn", "test", "walk", "bootstrap")
 
 
 @dataclass(frozen=True, slots=True)

@@ -41,7 +41,7 @@ def map_figure(world: World) -> Figure:
 
 def visits_figure(world: World, shares: Sequence[tuple[str, Floats]]) -> Figure:
     """The paper's figure 3: where test episodes spend their time, in percent."""
-    drawing, panels = figure(TEXT_WIDTH, 1.7, columns=len(shares))
+    drawing, panels = figure(TEXT_WIDTH, 1.6, columns=len(shares))
     top = 100 * max(share.max() for _, share in shares)
     norm = PowerNorm(0.5, vmin=0, vmax=top)  # differences among rare cells stay visible
     for axes, (title, share) in zip(panels, shares, strict=True):
@@ -55,26 +55,24 @@ def visits_figure(world: World, shares: Sequence[tuple[str, Floats]]) -> Figure:
         _no_ticks(axes)
     bar = drawing.colorbar(image, ax=panels, fraction=0.05, pad=0.02, shrink=0.8)
     bar.set_label("share of time [%]")
-    bar.set_ticks([tick for tick in (0, 0.5, 1, 2, 4, 8, 16, 32) if tick <= top])
+    ticks = [tick for tick in (0, 0.5, 1, 2, 4, 8, 16, 32) if tick <= top]
+    bar.set_ticks(ticks, labels=[f"{tick:g}" for tick in ticks])
     bar.outline.set_linewidth(0.4)
     return drawing
 
 
 def policies_figure(world: World, policies: Sequence[tuple[str, Floats]]) -> Figure:
-    """The paper's figure 4: each cell's likeliest action, pale where hardly preferred."""
+    """The paper's figure 4: the likeliest action of each cell."""
     rows = (len(policies) + 1) // 2
     drawing, panels = figure(TEXT_WIDTH, 1.8 * rows, columns=2, rows=rows)
     across, down = np.array([(0, 1), (0, -1), (-1, 0), (1, 0)]).T  # up, down, left, right
     for axes, (title, policy) in zip(panels, policies, strict=True):
         _rooms(axes, world)
         cells = np.delete(np.arange(world.states), world.goal)
-        action, sure = policy[cells].argmax(axis=1), policy[cells].max(axis=1)
-        shade = np.clip((sure - 0.25) / 0.75, 0.15, 1)
-        colours = np.tile([0.0, 0.0, 0.0, 1.0], (len(cells), 1))
-        colours[:, 3] = shade
+        action = policy[cells].argmax(axis=1)
         axes.quiver(
             world.cells[cells, 1], world.cells[cells, 0], across[action], down[action],
-            color=colours, pivot="mid", scale=1.35, scale_units="x", width=0.012, headwidth=4,
+            color=INK, pivot="mid", scale=1.35, scale_units="x", width=0.012, headwidth=4,
             headlength=4, headaxislength=3.6,
         )  # fmt: skip
         axes.set_title(title)
@@ -84,7 +82,7 @@ def policies_figure(world: World, policies: Sequence[tuple[str, Floats]]) -> Fig
 
 def trajectories_figure(world: World, walks: Sequence[tuple[str, Sequence[Cells]]]) -> Figure:
     """The paper's figure 5: sampled episodes, S to G."""
-    drawing, panels = figure(TEXT_WIDTH, 1.85, columns=len(walks))
+    drawing, panels = figure(TEXT_WIDTH, 1.8, columns=len(walks))
     for axes, (title, episodes) in zip(panels, walks, strict=True):
         _rooms(axes, world)
         for number, (cells, colour) in enumerate(zip(episodes, (BLUE, RED), strict=False)):

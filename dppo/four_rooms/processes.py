@@ -3,9 +3,11 @@
 import multiprocessing
 import signal
 from collections.abc import Generator, Sequence
+from contextlib import suppress
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
+from dppo.errors import RunFailedError
 from dppo.four_rooms.agent import Outcome, Progress, Trial, learn
 from dppo.four_rooms.world import World, WorldConfig
 
@@ -16,6 +18,9 @@ def learn_on_cores(
     """`learn`, in `jobs` processes; they end when this generator is closed.
 
     Neighbouring trials go to different processes, so that each gets its share of every arm.
+
+    Raises:
+        RunFailedError: a process has died.
     """
     jobs = min(jobs, len(trials))
     if jobs == 1:
@@ -25,12 +30,9 @@ def learn_on_cores(
     pipes = [pipe for _, pipe in running]
     try:
         while pipes:
-            for pipe in wait(pipes):
-                assert isinstance(pipe, Connection)
-                try:
-                    event = pipe.recv()
-                except EOFError:
-                    raise ChildProcessError("a process of the experiment has died") from None
+            ready = wait(pipes)
+            for pipe in [pipe for pipe in pipes if pipe in ready]:
+                event = _received(pipe)
                 if event is None:
                     pipes.remove(pipe)
                 else:
@@ -40,6 +42,17 @@ def learn_on_cores(
             process.terminate()
             process.join()
             pipe.close()
+
+
+def _received(pipe: Connection) -> Outcome | Progress | None:
+    """What a process has sent; None: it has finished."""
+    try:
+        event: Outcome | Progress | None = pipe.recv()
+    except EOFError:
+        raise RunFailedError(
+            "a process of the experiment has died, perhaps for lack of memory; try fewer --jobs"
+        ) from None
+    return event
 
 
 def _start(
@@ -61,6 +74,7 @@ def _start(
 def _work(
     pipe: Connection, world: WorldConfig, trials: Sequence[Trial], episodes: int, seed: int
 ) -> None:
-    for event in learn(World(world), trials, episodes=episodes, seed=seed):
-        pipe.send(event)
-    pipe.send(None)
+    with suppress(BrokenPipeError):  # nobody is left to be told
+        for event in learn(World(world), trials, episodes=episodes, seed=seed):
+            pipe.send(event)
+        pipe.send(None)

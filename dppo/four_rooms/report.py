@@ -15,8 +15,8 @@ _CAPTIONS = {
     "visits.png": "Where 80 test episodes of every final policy spend their time (figure 3). "
     "Frozen cells have a red edge.",
     "policies.png": "The likeliest action of each cell (figure 4): the trial with the median "
-    "return, and the exact optimum of eq. 9. A pale arrow is hardly preferred. What a policy does "
-    "in cells it no longer visits was never corrected.",
+    "return, and the optimum of eq. 9 that the search finds. What a policy does in cells it no "
+    "longer visits was never corrected.",
     "trajectories.png": "One episode of that policy from each of two starts (figure 5), slips and "
     "all. Passes are drawn side by side.",
     "sweep.png": "The safe arm with other ψ; bars are 95 % intervals.",
@@ -118,7 +118,7 @@ def _how_to_read(results: Results) -> str:
 def _optimum(results: Results) -> Iterator[str]:
     for one in results["optimum"]:
         yield (
-            f"- For ψ = {one['psi']:g} the best policy under eq. 9 that exact search finds has "
+            f"- For ψ = {one['psi']:g} the best policy under eq. 9 that the search finds has "
             f"E[V] = {one['exact_value_mean']:.2f} and E[σ] = {one['exact_sigma_mean']:.1f}; from "
             f"{one['cells_onto_ice']:.0f} cells beside the ice it steps onto it. The learned "
             f"policies do so from {one['learned_cells_onto_ice']:.1f} cells on average."

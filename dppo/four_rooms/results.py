@@ -2,7 +2,7 @@
 
 import platform
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from typing import Any
 
@@ -21,54 +21,64 @@ MAIN = ("plain", "safe")
 """The arms of Table 1."""
 
 
-def describe(
-    world: World, outcomes: Sequence[ArmOutcome], *, seed: int, tests: dict[str, Visits]
-) -> Results:
-    """The figures of all arms; the comparison of Table 1's arms if both are there."""
-    mdp = world.mdp
-    trials, episodes = outcomes[0].returns.shape
-    bootstrap = Bootstrap(trials, seed)
-    arms = [summarise(outcome, mdp, bootstrap) for outcome in outcomes]
-    for arm in arms:
-        if arm["key"] in tests:
-            arm["test"] = _of_tests(world, tests[arm["key"]])
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Findings:
+    """What was run, and what was measured of it afterwards; by key of the arm."""
+
+    world: World
+    seed: int
+    outcomes: dict[str, ArmOutcome]
+    tests: dict[str, Visits]  # of Table 1's arms
+    optima: dict[str, Optimum]  # under the objective of Table 1's arms
+
+    @property
+    def main(self) -> list[ArmOutcome]:
+        """The arms of Table 1 that have finished."""
+        return [self.outcomes[key] for key in MAIN if key in self.outcomes]
+
+
+def measure(world: World, outcomes: Sequence[ArmOutcome], *, seed: int) -> Findings:
+    """Test episodes of the final policies of Table 1's arms, and the best policies."""
+    main = [outcome for outcome in outcomes if outcome.arm.key in MAIN]
+    tests, optima = {}, {}
+    for outcome in main:
+        key, agent = outcome.arm.key, outcome.arm.agent
+        tests[key] = visits(world, list(outcome.policies), seed=seed)
+        optima[key] = best(
+            world.mdp, psi=agent.psi, gamma=agent.gamma, lambda_ret=agent.lambda_ret
+        )
     by_key = {outcome.arm.key: outcome for outcome in outcomes}
-    results: Results = {"arms": arms}
-    if all(key in by_key for key in MAIN):
-        results["comparison"] = compare(by_key["plain"], by_key["safe"], bootstrap)
-    results["optimum"] = [
-        _of_optimum(world, outcome, optimum_for(world, outcome))
-        for key, outcome in by_key.items()
-        if key in MAIN
-    ]
+    return Findings(world=world, seed=seed, outcomes=by_key, tests=tests, optima=optima)
+
+
+def describe(findings: Findings) -> Results:
+    """The figures of all arms; the comparison of Table 1's arms if both are there."""
+    world, outcomes = findings.world, findings.outcomes
+    trials, episodes = next(iter(outcomes.values())).returns.shape
+    bootstrap = Bootstrap(trials, findings.seed)
+    results: Results = {
+        "arms": [summarise(outcome, world.mdp, bootstrap) for outcome in outcomes.values()]
+    }
+    for arm in results["arms"]:
+        if arm["key"] in findings.tests:
+            arm["test"] = _of_tests(world, findings.tests[arm["key"]])
+    if len(findings.main) == len(MAIN):
+        plain, safe = findings.main
+        results["comparison"] = compare(plain, safe, bootstrap)
+    results["optimum"] = [_of_optimum(findings, outcome) for outcome in findings.main]
     results["config"] = {
         "trials": trials,
         "episodes": episodes,
-        "seed": seed,
+        "seed": findings.seed,
         "last_episodes": min(LAST, episodes),
         "world": asdict(world.config),
-        "agents": {key: asdict(outcome.arm.agent) for key, outcome in by_key.items()},
+        "agents": {key: asdict(outcome.arm.agent) for key, outcome in outcomes.items()},
     }
     results["versions"] = {
         "python": platform.python_version(),
         **{name: version(name) for name in ("dppo", "numpy", "matplotlib")},
     }
     return results
-
-
-def test_runs(world: World, outcomes: Sequence[ArmOutcome], seed: int) -> dict[str, Visits]:
-    """80 test episodes of every final policy of Table 1's arms."""
-    return {
-        outcome.arm.key: visits(world, list(outcome.policies), seed=seed)
-        for outcome in outcomes
-        if outcome.arm.key in MAIN
-    }
-
-
-def optimum_for(world: World, outcome: ArmOutcome) -> Optimum:
-    """The best policy under the objective of an arm."""
-    agent = outcome.arm.agent
-    return best(world.mdp, psi=agent.psi, gamma=agent.gamma, lambda_ret=agent.lambda_ret)
 
 
 def typical(outcome: ArmOutcome) -> int:
@@ -93,15 +103,18 @@ def _of_tests(world: World, found: Visits) -> Results:
     }
 
 
-def _of_optimum(world: World, outcome: ArmOutcome, optimum: Optimum) -> Results:
-    agent, mdp = outcome.arm.agent, world.mdp
-    exact = evaluate(mdp, optimum.policy, agent.gamma, agent.lambda_ret)
+def _of_optimum(findings: Findings, outcome: ArmOutcome) -> Results:
+    world, agent = findings.world, outcome.arm.agent
+    policy = findings.optima[outcome.arm.key].policy
+    exact = evaluate(world.mdp, policy, agent.gamma, agent.lambda_ret)
+    tested = visits(world, [policy] * len(outcome.policies), seed=findings.seed)
     return {
         "key": outcome.arm.key,
         "psi": agent.psi,
-        "objective": optimum.objective,
-        "exact_value_mean": float(mdp.start @ exact.v),
-        "exact_sigma_mean": float(mdp.start @ exact.sigma),
-        "cells_onto_ice": onto_ice(world, optimum.policy[None]),
+        "objective": findings.optima[outcome.arm.key].objective,
+        "exact_value_mean": float(world.mdp.start @ exact.v),
+        "exact_sigma_mean": float(world.mdp.start @ exact.sigma),
+        "cells_onto_ice": onto_ice(world, policy[None]),
         "learned_cells_onto_ice": onto_ice(world, outcome.policies),
+        "test": _of_tests(world, tested),
     }

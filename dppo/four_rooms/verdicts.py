@@ -52,14 +52,16 @@ def claims(results: Results) -> Iterator[tuple[str, str, str]]:
         f"{onto['plain']:.1f}",
         _verdict(onto["safe"] < onto["plain"], onto["safe"] > onto["plain"]),
     )
-    touching = [arm["test"]["episodes_touching_ice"] for arm in (safe, plain)]
+    touching = [one["test"]["episodes_touching_ice"] for one in (safe, plain)]
+    least = next(one["test"] for one in results["optimum"] if one["key"] == "safe")
     yield (
         "Whatever the start, it avoids the frozen cells (figure 5)",
         f"{touching[0]:.1%} of the test episodes that begin off the ice step on it, against "
-        f"{touching[1]:.1%}",
-        "holds but for slips and a few policies"
-        if 0 < touching[0] < 0.1
-        else _verdict(touching[0] == 0, touching[0] >= touching[1]),
+        f"{touching[1]:.1%}; by slips alone, {least['episodes_touching_ice']:.1%} of those of the "
+        "optimal policy",
+        "holds but for slips and a rest"
+        if touching[0] < touching[1] / 2
+        else _verdict(False, touching[0] >= touching[1]),
     )
 
 

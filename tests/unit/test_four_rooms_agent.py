@@ -15,6 +15,7 @@ from dppo.four_rooms.world import World, WorldConfig
 WORLD = World()
 SAFE, PLAIN = AgentConfig(), AgentConfig(psi=0.0, alpha_critic=0.1)
 EPISODES, SEED = 12, 3
+BAR = (0.99 * 0.99) ** 2  # γ̄ of all agents here
 
 
 def outcomes(trials, episodes=EPISODES, world=WORLD):
@@ -75,7 +76,7 @@ def by_hand(agent, number, world):
     sigma = np.zeros((world.states, 4))
     returns: list[float] = []
     clock = row = 0
-    draws = draw(world, SEED, "learn", [number], 0)
+    draws = draw(world, SEED, "begin", [number], 0)
 
     def pi(state):
         e = np.exp((theta[state] - theta[state].max()) / agent.temperature)
@@ -99,19 +100,17 @@ def by_hand(agent, number, world):
         then = pick(after, draws.action[row, 0])
         next_q, next_sigma = bootstrap(agent.update, q[after], sigma[after], then, pi(after))
         delta = reward + (0 if over else agent.gamma * next_q) - q[state, action]
-        bar = (agent.gamma * agent.lambda_ret) ** 2
-        delta_sigma = delta**2 + (0 if over else bar * next_sigma) - sigma[state, action]
+        delta_sigma = delta**2 + (0 if over else BAR * next_sigma) - sigma[state, action]
         q[state, action] += agent.alpha_critic * delta
         sigma[state, action] += agent.alpha_sigma * delta_sigma
         psi = agent.psi_at(len(returns) / EPISODES)
-        weight, weight_bar = (agent.gamma**steps, bar**steps) if agent.occupancy else (1.0, 1.0)
+        weight, weight_bar = (agent.gamma**steps, BAR**steps) if agent.occupancy else (1.0, 1.0)
         worth = weight * q[state] - psi * weight_bar * sigma[state]
         gain = worth[action] - (pi(state) @ worth if agent.baseline else 0.0)
         gain /= agent.temperature if agent.inverse_temperature else 1.0
         theta[state] += agent.alpha_theta * gain * (np.eye(4)[action] - pi(state))
         total += agent.gamma**steps * reward
-        steps, clock = steps + 1, clock + 1
-        state, action = after, then
+        state, action, steps, clock = after, then, steps + 1, clock + 1
         if over or steps == 500:
             returns.append(total)
             state, action, total, steps = begin()

@@ -147,7 +147,9 @@ def story(gain, spread, ice):
         "arms": [arm | {"key": "plain"}, arm | {"key": "safe"}],
         "comparison": dict.fromkeys(names, 0.0)
         | {"intervals_95": dict(zip(names, (gain, spread, ice), strict=True))},
-        "optimum": [{"key": key, "learned_cells_onto_ice": 0.0} for key in ("plain", "safe")],
+        "optimum": [
+            {"key": key, "learned_cells_onto_ice": 0.0, "test": test} for key in ("plain", "safe")
+        ],
     }
     better, smaller, _, drier, *_ = (verdict for _, _, verdict in claims(results))
     return better, smaller, drier
