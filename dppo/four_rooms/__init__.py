@@ -4,5 +4,6 @@
 - agent.py, settings.py, draws.py: Algorithm 1 for many trials at once, its settings, its draws
 - oracle.py, gradients.py, optimum.py: exact V and σ, eq. 15, the best policy under eq. 9
 - experiment.py, processes.py, rollouts.py, summary.py: what is compared, run and measured
-- figures.py, maps.py, report.py, verdicts.py, command.py: what `dppo four-rooms` writes
+- results.py, pictures.py, figures.py, maps.py, style.py, report.py, verdicts.py: what is written
+- command.py, console.py: `dppo four-rooms`
 """

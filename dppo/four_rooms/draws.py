@@ -16,8 +16,9 @@ from dppo.streams import stream
 
 BLOCK = 2048
 """K: steps that are drawn at once."""
-Use = Literal["begin", "learn", "test", "walk", "bootstrap"]
-_USES: tuple[Use, ...] = ("begin", "learn", "test", "walk", "bootstrap")
+Use = Literal["learn", "test", "walk", "bootstrap", "begin"]
+_USES: tuple[Use, ...] = ("learn", "test", "walk", "bootstrap", "begin")
+"""The place is the key: new ones at the end."""
 
 
 @dataclass(frozen=True, slots=True)
