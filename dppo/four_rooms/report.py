@@ -18,7 +18,8 @@ _CAPTIONS = {
     "return, and the optimum of eq. 9 that the search finds. What a policy does in cells it no "
     "longer visits was never corrected.",
     "trajectories.png": "One episode of that policy from each of two starts (figure 5), slips and "
-    "all. Passes are drawn side by side.",
+    "all. It is the trial with the median return, not one picked to show the claim: with ψ = 0 "
+    "too, some trials learn to go around the ice.",
     "sweep.png": "The safe arm with other ψ; bars are 95 % intervals.",
 }
 
