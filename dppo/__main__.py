@@ -1,4 +1,7 @@
-"""`dppo`: looks at what a run has left. Training is `dppo-learner`."""
+"""`dppo`: looks at what a run has left, and runs the Four Rooms experiment.
+
+Training is `dppo-learner`.
+"""
 
 import json
 import sys
@@ -11,7 +14,10 @@ from dppo.settings import require
 if TYPE_CHECKING:
     from dppo.store.checkpoint import Checkpoint
 
-_USAGE = "usage: dppo {eval,checkpoint} RUN [options]; dppo eval --help, dppo checkpoint --help"
+_USAGE = (
+    "usage: dppo {eval,checkpoint} RUN [options], or dppo four-rooms [options]; "
+    "dppo eval --help, dppo checkpoint --help, dppo four-rooms --help"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,11 +72,17 @@ def _command(words: list[str]) -> int:
             return _eval(parse(EvalArgs, _run_first(rest), "dppo eval"))
         case ["checkpoint", *rest]:
             return _checkpoint(parse(CheckpointArgs, _run_first(rest), "dppo checkpoint"))
+        case ["four-rooms", *rest]:
+            from dppo.four_rooms.command import FourRoomsArgs, run
+
+            return run(parse(FourRoomsArgs, rest, "dppo four-rooms"))
         case ["-h" | "--help", *_]:
             print(f"{_USAGE}\n\n{__doc__}")
             return 0
     found = words[0] if words else "nothing"
-    print(f"error: found {found}, expected eval or checkpoint\n{_USAGE}", file=sys.stderr)
+    print(
+        f"error: found {found}, expected eval, checkpoint or four-rooms\n{_USAGE}", file=sys.stderr
+    )
     return 2
 
 

@@ -39,6 +39,13 @@ def no_window() -> None:
             os.environ.setdefault("PYGLFW_LIBRARY", str(library))
 
 
+def usable_cores() -> int:
+    """Cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def parse(kind: type[Args], argv: list[str], program: str, default: Args | None = None) -> Args:
     """The arguments, or exit code 2 with what is wrong and the nearest flags."""
     import tyro

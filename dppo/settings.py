@@ -16,7 +16,8 @@ def require(holds: bool, name: str, found: object, expected: str) -> None:
         raise ValueError(f"{flag} is {found}, expected {expected}")
 
 
-def _require_finite(config: object, *names: str) -> None:
+def require_finite(config: object, *names: str) -> None:
+    """Raise a ValueError in the words of the command line if one of the fields is not finite."""
     for name in names:
         value = getattr(config, name)
         require(math.isfinite(value), name, value, "a finite number")
@@ -142,7 +143,7 @@ class SafetyConfig:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
-        _require_finite(self, "psi", "variance_limit_rate")
+        require_finite(self, "psi", "variance_limit_rate")
         require(self.psi >= 0, "psi", self.psi, ">= 0")
         require(0 <= self.psi_warmup < 1, "psi_warmup", self.psi_warmup, "0 <= psi_warmup < 1")
         for name in ("variance_limit", "variance_limit_rate"):
@@ -189,7 +190,7 @@ class UpdateConfig:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
-        _require_finite(self, "learning_rate", "critic_learning_rate", "adam_eps")
+        require_finite(self, "learning_rate", "critic_learning_rate", "adam_eps")
         for name in ("learning_rate", "critic_learning_rate", "max_grad_norm", "adam_eps"):
             require(getattr(self, name) > 0, name, getattr(self, name), "> 0")
         for name in ("update_epochs", "num_minibatches"):
@@ -245,7 +246,7 @@ class KlConfig:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
-        _require_finite(self, "kl_target", "kl_coef", "hinge_coef")
+        require_finite(self, "kl_target", "kl_coef", "hinge_coef")
         require(self.kl_target > 0, "kl_target", self.kl_target, "> 0")
         require(self.kl_coef_scale > 1, "kl_coef_scale", self.kl_coef_scale, "> 1")
         require(self.hinge_coef >= 0, "hinge_coef", self.hinge_coef, ">= 0")
@@ -276,7 +277,7 @@ class NetworkConfig:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
-        _require_finite(self, "log_std_init")
+        require_finite(self, "log_std_init")
         fits = len(self.hidden_sizes) >= 1 and min(self.hidden_sizes) >= 1
         require(fits, "hidden_sizes", self.hidden_sizes, "one or more sizes >= 1")
         require(

@@ -8,8 +8,10 @@ from typing import Literal
 
 import numpy as np
 
-Purpose = Literal["init", "action", "minibatch", "reset", "evaluation"]
-_PURPOSES: tuple[Purpose, ...] = ("init", "action", "minibatch", "reset", "evaluation")
+Purpose = Literal["init", "action", "minibatch", "reset", "evaluation", "four-rooms"]
+_PURPOSES: tuple[Purpose, ...] = (  # the place is the key: new ones at the end
+    "init", "action", "minibatch", "reset", "evaluation", "four-rooms",
+)  # fmt: skip
 
 
 def stream(seed: int, purpose: Purpose, *indices: int) -> np.random.Generator:

@@ -94,11 +94,12 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def _train(config: Config, args: ProcessArgs) -> int:
+    from dppo.process import usable_cores
     from dppo.store.run_directory import RunDirectory, default_path
     from dppo.wire.socket_links import Alarm, SocketLearnerLink
     from dppo.wire.zenoh_links import ZenohLearnerLink
     from learner.arguments import listening_address
-    from learner.local import LocalWorkers, usable_cores
+    from learner.local import LocalWorkers
     from learner.session import Session
     from learner.signals import StopSignals, log_to_file
 

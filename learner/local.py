@@ -1,7 +1,6 @@
 """Worker processes on the learner's own machine: started, looked after, ended."""
 
 import logging
-import os
 import signal
 import socket
 import subprocess
@@ -17,13 +16,6 @@ _MOST_RESTARTS = 20
 _TROUBLE_SECONDS = 5.0
 """A worker that dies younger than this counts as one that cannot start."""
 _END_SECONDS = 3.0
-
-
-def usable_cores() -> int:
-    """Cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def free_address() -> str:

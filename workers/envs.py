@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dppo.config import RunConfig
 from dppo.errors import UsageError
 from dppo.spaces import Spaces
+from workers import four_rooms
 from workers.generic_vec import GenericVec
 from workers.kinds import kind_of
 from workers.mujoco_vec import MujocoVec
@@ -39,6 +40,7 @@ def make_env(config: RunConfig) -> Env:
     Raises:
         UsageError: unknown id (with near names), wrong keyword arguments, missing packages.
     """
+    four_rooms.register()
     known = sorted(gymnasium.registry)
     name = config.env.rpartition(":")[2]
     if ":" not in config.env and name not in known:
@@ -120,6 +122,7 @@ def _vec(
 
 
 def _make(env_id: str, kwargs: dict[str, Any]) -> Env:
+    four_rooms.register()
     return gymnasium.make(env_id, disable_env_checker=True, **kwargs)
 
 

@@ -40,6 +40,19 @@ def test_the_chain_has_the_variance_of_its_closed_form():
 
 
 @pytest.mark.slow
+def test_four_rooms_shows_what_the_penalty_is_worth():
+    text = run(EXAMPLES / "four_rooms.py", "4")
+    rows = re.findall(r"^psi (0|0\.25) +([\d.]+) +([\d.]+)$", text, re.MULTILINE)
+    optimum = [(float(value), float(variance)) for _, value, variance in rows[:2]]
+    assert optimum == [(45.85, 122.70), (44.72, 11.26)]
+    (plain, plain_frozen), (safe, safe_frozen) = (
+        (float(score), float(frozen)) for _, score, frozen in rows[2:]
+    )
+    assert safe > plain
+    assert safe_frozen < plain_frozen / 3
+
+
+@pytest.mark.slow
 def test_one_process_prints_the_same_lines_for_any_number_of_workers():
     two, three = (run(EXAMPLES / "one_process.py", number) for number in ("2", "3"))
     assert two == three
