@@ -1,5 +1,6 @@
 """`dppo-worker`: command line -> link -> member. Everything from outside is read here."""
 
+import os
 import sys
 from dataclasses import dataclass
 
@@ -53,7 +54,7 @@ def _serve_parent(args: _ChildArgs) -> int:
     from workers.envs import quiet
     from workers.membership import Member
 
-    link = SocketWorkerLink(args.socket)
+    link = SocketWorkerLink(args.socket, orphaned=lambda: os._exit(0))
     quiet()
     Member(args.name, link, float("inf")).live()
     return 0

@@ -15,7 +15,7 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from dppo.errors import WireError
@@ -26,7 +26,7 @@ from dppo.wire.links import LearnerLink, LearnerLost, Refused, WorkerLost
 from dppo.wire.messages import ToLearner, ToWorker
 from dppo.wire.shared_bodies import SharedBodies, new_memory
 
-_BEAT_SECONDS = 0.5
+BEAT_SECONDS = 0.5
 SILENCE_SECONDS = 2.0
 """A worker that was heard once and then not for so long is given up."""
 _BUFFER = 1 << 20
@@ -210,31 +210,32 @@ class Alarm:
 
 
 class SocketWorkerLink:
-    """A `WorkerLink` to the learner that started this process. There is no other to wait for."""
+    """A `WorkerLink` to the learner that started this process."""
 
-    def __init__(self, descriptors: Sequence[int]) -> None:
-        """`descriptors`: as in `Inheritance`."""
+    def __init__(self, descriptors: Sequence[int], orphaned: Callable[[], None]) -> None:
+        """`orphaned` is called in another thread when the learner is gone.
+
+        Args:
+            descriptors: as in `Inheritance`.
+            orphaned: what to do then: there is no other learner to wait for.
+        """
         self._end = socket.socket(fileno=descriptors[0])
         bodies = SharedBodies(descriptors[1], is_learner=False) if descriptors[1:] else None
         self._channel, self._frames = Channel(self._end, bodies), deque[Frame]()
-        self._writing = threading.Lock()
+        self._writing, self._orphaned, self._closed = threading.Lock(), orphaned, False
         threading.Thread(target=self._beat, daemon=True).start()
 
     def receive(self, timeout: float) -> ToWorker | LearnerLost | Refused | None:
-        """See `WorkerLink`.
-
-        Raises:
-            BrokenPipeError: the learner is gone, and with it the reason to live.
-        """
+        """See `WorkerLink`."""
         deadline = time.monotonic() + timeout
         while not self._frames:
-            left = deadline - time.monotonic()
-            if left <= 0 or not select.select([self._end], [], [], left)[0]:
+            left = max(0.0, deadline - time.monotonic())
+            if not select.select([self._end], [], [], left)[0]:
                 return None
             try:
                 self._frames.extend(self._channel.frames())
-            except EOFError as error:
-                raise BrokenPipeError("the learner is gone") from error
+            except EOFError:
+                return LearnerLost()
         message: ToWorker | Refused = decoded(self._frames.popleft())
         return message
 
@@ -247,14 +248,18 @@ class SocketWorkerLink:
 
     def close(self) -> None:
         """See `WorkerLink`."""
-        self._end.close()
+        self._closed = True
+        with self._writing:
+            self._end.close()
 
     def _beat(self) -> None:
-        """Say that this process lives; end it when nobody listens any more."""
-        while True:
-            time.sleep(_BEAT_SECONDS)
+        """Say that this process lives, until nobody listens any more."""
+        while not self._closed:
+            time.sleep(BEAT_SECONDS)
             try:
                 with self._writing:
                     self._end.sendall(HEARTBEAT)
             except OSError:
-                os._exit(0)
+                break
+        if not self._closed:
+            self._orphaned()

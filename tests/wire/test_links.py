@@ -1,6 +1,8 @@
 """One contract for both kinds of link, and what only the network can do wrong."""
 
+import os
 import re
+import struct
 import time
 from contextlib import ExitStack
 
@@ -13,6 +15,7 @@ from dppo.wire.codec import Frame
 from dppo.wire.links import LearnerLost, Refused, WorkerLost
 from dppo.wire.memory_links import MemoryHub
 from dppo.wire.messages import Hello, Measure, Stop, Welcome
+from dppo.wire.socket_links import Alarm, SocketLearnerLink, SocketWorkerLink
 from dppo.wire.zenoh_links import (
     BASE,
     ZenohLearnerLink,
@@ -93,6 +96,34 @@ class Network:
         self._after.close()
 
 
+class Pairs:
+    """Both ends on pairs of sockets, beside a link to others on queues."""
+
+    def __init__(self):
+        self.hub, self.alarm = MemoryHub(), Alarm()
+        self.learner = SocketLearnerLink(self.hub.learner(), self.alarm)
+        self._workers = []
+
+    def worker(self, name):
+        inherited = self.learner.adopt(name)
+        link = SocketWorkerLink([os.dup(d) for d in inherited.descriptors], lambda: None)
+        inherited.close()
+        self._workers.append(link)
+        return link
+
+    def junk(self, key):
+        prefix = struct.pack("<IIi", 4, 0, -1)
+        kind, name = key.split("/")
+        ends = [worker._end for worker in self._workers]
+        end = ends[0] if kind == "g" else self.learner._peers[name].channel.end
+        end.sendall(prefix + b"junk")
+
+    def close(self):
+        for worker in self._workers:
+            worker.close()
+        self.learner.close()
+
+
 def _client(address):
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
@@ -101,7 +132,7 @@ def _client(address):
     return config
 
 
-@pytest.fixture(params=[Memory, Network])
+@pytest.fixture(params=[Memory, Network, Pairs])
 def wire(request):
     ends = request.param()
     yield ends

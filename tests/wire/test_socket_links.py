@@ -1,0 +1,163 @@
+"""What only a pair of sockets can do wrong, and what it does about it."""
+
+import os
+import struct
+import time
+
+import numpy as np
+import pytest
+
+from dppo.wire import socket_links
+from dppo.wire.channel import HEARTBEAT
+from dppo.wire.links import LearnerLost, Refused, WorkerLost
+from dppo.wire.memory_links import MemoryHub
+from dppo.wire.messages import Hello, Measure, Stop
+from dppo.wire.shared_bodies import SLOT_BYTES, SharedBodies, new_memory
+from dppo.wire.socket_links import Alarm, SocketLearnerLink, SocketWorkerLink
+
+PATIENCE = 10.0
+HELLO = Hello(worker="w1", host="here", pid=1, numerics="9c1e", versions="")
+
+
+@pytest.fixture
+def learner():
+    link = SocketLearnerLink(MemoryHub().learner(), Alarm())
+    yield link
+    link.close()
+
+
+@pytest.fixture
+def worker(learner):
+    inherited = learner.adopt("w1")
+    link = SocketWorkerLink([os.dup(d) for d in inherited.descriptors], lambda: None)
+    inherited.close()
+    yield link
+    link.close()
+
+
+def measure(size, seed=0):
+    vector = np.random.default_rng(seed).standard_normal(size).astype(np.float32)
+    return Measure(generation=1, iteration=0, round=seed, slots=(0,), parameters=vector)
+
+
+def next_message(link, pump=lambda: None):
+    """The next message; `pump` lets the other end write on."""
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline:
+        pump()
+        if (event := link.receive(0.01)) is not None:
+            return event
+    pytest.fail(f"nothing came within {PATIENCE} s")
+
+
+@pytest.mark.parametrize("size", [0, 1, SLOT_BYTES // 4, SLOT_BYTES // 4 + 1, 5 * SLOT_BYTES // 4])
+def test_a_body_arrives_through_memory_or_through_the_socket(learner, worker, size):
+    sent = measure(size)
+    learner.send("w1", sent)
+    found = next_message(worker, lambda: learner.receive(0.0))
+    assert found.parameters.tobytes() == sent.parameters.tobytes()
+
+
+def test_a_worker_that_does_not_read_never_holds_up_the_learner(learner, worker):
+    for number in range(40):  # 40 MB: more than memory and socket take
+        learner.send("w1", measure(SLOT_BYTES // 4, number))
+    for number in range(40):
+        found = next_message(worker, lambda: learner.receive(0.0))
+        assert found.round == number
+        assert found.parameters.tobytes() == measure(SLOT_BYTES // 4, number).parameters.tobytes()
+
+
+def test_messages_of_the_other_link_wake_the_learner():
+    hub, alarm = MemoryHub(), Alarm()
+    link = SocketLearnerLink(hub.learner(), alarm)
+    hub.worker("far").send(HELLO)
+    alarm.ring()
+    assert link.receive(PATIENCE) == HELLO
+    assert link.receive(0.0) is None
+    link.close()
+
+
+def test_a_worker_that_falls_silent_is_given_up(learner, monkeypatch):
+    monkeypatch.setattr(socket_links, "SILENCE_SECONDS", 0.05)
+    inherited = learner.adopt("w1")
+    assert learner.receive(0.2) is None  # it has not started yet: no reason to give it up
+    inherited.end.sendall(HEARTBEAT)
+    assert next_message(learner) == WorkerLost("w1")
+    assert "w1" not in learner
+    inherited.close()
+
+
+def test_a_worker_that_sends_heartbeats_is_kept(learner, worker, monkeypatch):
+    monkeypatch.setattr(socket_links, "SILENCE_SECONDS", 3 * socket_links.BEAT_SECONDS)
+    worker.send(HELLO)
+    assert next_message(learner) == HELLO
+    assert learner.receive(6 * socket_links.BEAT_SECONDS) is None
+    assert "w1" in learner
+
+
+def test_a_learner_that_slept_does_not_give_up_who_spoke_meanwhile(learner, monkeypatch):
+    inherited = learner.adopt("w1")
+    inherited.end.sendall(HEARTBEAT)
+    learner.receive(0.01)
+    inherited.end.sendall(HEARTBEAT)
+    monkeypatch.setattr(socket_links, "SILENCE_SECONDS", 0.0)  # long ago, as it seems
+    learner._give_up_silent_ones()
+    assert "w1" in learner
+    inherited.close()
+
+
+def test_a_length_beyond_the_limits_ends_the_connection(learner):
+    inherited = learner.adopt("w1")
+    inherited.end.sendall(struct.pack("<IIi", 1 << 30, 0, -1))
+    refused = next_message(learner)
+    assert isinstance(refused, Refused)
+    assert "bytes was announced, at most" in refused.reason
+    assert next_message(learner) == WorkerLost("w1")
+    inherited.close()
+
+
+@pytest.mark.parametrize(("slot", "length"), [(7, 8), (0, 2 * SLOT_BYTES), (-2, 8)])
+def test_a_slot_that_does_not_exist_ends_the_connection(learner, slot, length):
+    inherited = learner.adopt("w1")
+    inherited.end.sendall(struct.pack("<IIi", 1, length, slot) + b"x")
+    refused = next_message(learner)
+    assert isinstance(refused, Refused)
+    assert "a body was said to be in shared memory" in refused.reason
+    assert next_message(learner) == WorkerLost("w1")
+    inherited.close()
+
+
+def test_a_worker_whose_learner_is_gone_is_told_and_may_end_itself():
+    learner, orphaned = SocketLearnerLink(MemoryHub().learner(), Alarm()), []
+    inherited = learner.adopt("w1")
+    link = SocketWorkerLink(
+        [os.dup(d) for d in inherited.descriptors], lambda: orphaned.append(True)
+    )
+    inherited.close()
+    learner.close()
+    assert link.receive(PATIENCE) == LearnerLost()
+    deadline = time.monotonic() + PATIENCE
+    while not orphaned and time.monotonic() < deadline:
+        link.receive(0.05)
+    assert orphaned == [True]
+    link.close()
+
+
+def test_a_slot_is_free_again_once_its_body_was_taken():
+    memory = new_memory()
+    assert memory is not None
+    sender, receiver = SharedBodies(memory, True), SharedBodies(memory, False)
+    assert [sender.put(b"one"), sender.put(b"two"), sender.put(b"three")] == [0, 1, None]
+    assert bytes(receiver.take(1, 3)) == b"two"
+    assert sender.put(b"four") == 1
+    assert bytes(receiver.take(0, 3)) == b"one"
+    assert receiver.put(b"back") == 0  # the other direction has slots of its own
+    assert bytes(sender.take(0, 4)) == b"back"
+    os.close(memory)
+
+
+def test_stop_reaches_a_worker_before_the_pair_is_closed(learner, worker):
+    learner.send("w1", Stop(reason="the run is finished", final=True))
+    learner.let_go()
+    assert next_message(worker) == Stop(reason="the run is finished", final=True)
+    assert worker.receive(PATIENCE) == LearnerLost()
