@@ -21,7 +21,7 @@ ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_
 
 
 class SkippedError(Exception):
-    """This case cannot be measured here: a sentence that says why."""
+    """The case cannot be measured here: a sentence that says why."""
 
 
 class Case:
@@ -32,9 +32,8 @@ class Case:
         *words: str,
         python: str = sys.executable,
         core: int | None = None,
-        threads: bool = False,
     ) -> None:
-        """Start `python -m WORDS`, on one core if given; `threads`: leave BLAS its own number.
+        """Start `python -m WORDS` with one thread, on one core if given.
 
         Raises:
             SkippedError: the process says that it cannot measure, or does not start.
@@ -45,7 +44,7 @@ class Case:
             stdout=subprocess.PIPE,
             text=True,
             cwd=ROOT,
-            env=os.environ | ({} if threads else ONE_THREAD) | {"PYTHONPATH": str(ROOT)},
+            env=os.environ | ONE_THREAD | {"PYTHONPATH": str(ROOT)},
         )
         if core is not None:
             os.sched_setaffinity(self._process.pid, {core})

@@ -58,7 +58,7 @@ def sync_vector(env_id: str, num_envs: int) -> SyncVectorEnv:
     return envs
 
 
-def seeds(num_envs: int) -> list[int]:
+def seeds(num_envs: int) -> list[int | None]:
     """Of the first reset of every environment."""
     return list(range(1, num_envs + 1))
 
@@ -73,7 +73,9 @@ def record(
     rng = np.random.default_rng(0)
     envs.reset(seed=seeds(num_envs))
     start = _states(envs)
-    actions, ends, restarts = [], [], []
+    actions: list[NDArray[np.float32]] = []
+    ends: list[NDArray[np.bool_]] = []
+    restarts: list[Float64] = []
     until = time.perf_counter() + seconds
     while len(actions) < most and (not actions or time.perf_counter() < until):
         action = _actions(rng, kind, num_envs, space)

@@ -20,7 +20,7 @@ from benchmarks.measuring import (
     table,
     usable_cores,
 )
-from benchmarks.recording import record
+from benchmarks.recording import ActionKind, record
 from benchmarks.stepping_cases import CASES
 
 _BODIES = (
@@ -40,7 +40,7 @@ def main() -> None:
     table(rows)
 
 
-def _measured(env: str, actions: str, args: argparse.Namespace) -> Result:
+def _measured(env: str, actions: ActionKind, args: argparse.Namespace) -> Result:
     """One row: the cases' speeds, interleaved, and their ratios to raw."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "recording.npz"
@@ -65,7 +65,7 @@ def _measured(env: str, actions: str, args: argparse.Namespace) -> Result:
             "benchmark": "stepping", "env": env, "actions": actions, "num_envs": args.num_envs,
             "steps": recording.steps, "resets": int(recording.ended.sum()),
             "steps_per_second": speeds, "same_states": same, "skipped": skipped,
-            "all": {name: [r["steps_per_second"] for r in found] for name, found in results.items()},
+            "all": results,
         }
     )  # fmt: skip
     ratios = {f"{name}/raw": speeds[name] / speeds["raw"] for name in speeds if name != "raw"}
