@@ -157,7 +157,7 @@ def train(env_id: str, settings: Settings, note: Callable[[int], None]) -> None:
 @torch.no_grad()
 def _rollout(
     agent: Agent,
-    envs: Any,
+    envs: Any,  # noqa: ANN401
     obs: Tensor,
     ended: Tensor,
     num_steps: int,

@@ -104,7 +104,7 @@ def _trained(trainer: str, env: str, args: argparse.Namespace) -> Result:
             marks.parent.mkdir()
         begun = time.time()
         process = subprocess.Popen(
-            command(trainer, env, marks, args.python),
+            command(trainer, env, marks, _python(trainer, args)),
             cwd=ROOT,
             env=os.environ | {"PYTHONPATH": str(ROOT)},
             stdout=subprocess.DEVNULL,
@@ -125,6 +125,12 @@ def _trained(trainer: str, env: str, args: argparse.Namespace) -> Result:
         "first_step_seconds": rows[0]["time"] - begun,
         "memory_mb": memory,
     }
+
+
+def _python(trainer: str, args: argparse.Namespace) -> str:
+    """The interpreter that has this trainer."""
+    other = args.sample_factory_python if trainer == "sample-factory" else ""
+    return str(other or args.python)
 
 
 def _rows_of(process: subprocess.Popen[str], marks: Path, seconds: float) -> list[Row]:
@@ -168,6 +174,9 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=15.0, help="of each, after iteration 1")
     parser.add_argument("--python", default=sys.executable, help="interpreter that has the peers")
+    parser.add_argument(
+        "--sample-factory-python", default="", help="its own interpreter: it wants gymnasium < 1"
+    )
     return parser.parse_args()
 
 

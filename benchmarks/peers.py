@@ -7,7 +7,9 @@ dppo's metrics.jsonl. Imports nothing of dppo, so an environment with the peers 
 """
 
 import json
+import re
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -53,6 +55,31 @@ def _cleanrl(**settings: Any) -> Callable[[str, Note], None]:  # noqa: ANN401  s
     return train
 
 
+def _sample_factory(env_id: str, note: Note) -> None:
+    """Sample Factory, asynchronous, its defaults; counted every 5 s, when it logs its frames."""
+    import logging
+
+    from sample_factory.utils.utils import log
+    from sf_examples.mujoco import train_mujoco
+
+    class Marks(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            found = re.search(r"Total num frames: (\d+)", record.getMessage())
+            if found and int(found[1]) > Marks.last:
+                Marks.last = int(found[1])
+                note(Marks.last)
+
+        last = -1
+
+    log.addHandler(Marks())
+    name = {"Ant-v4": "ant", "HalfCheetah-v4": "halfcheetah", "Hopper-v4": "hopper"}
+    sys.argv[1:] = [
+        f"--env=mujoco_{name.get(env_id, 'walker')}", "--algo=APPO", "--device=cpu",
+        "--num_workers=2", "--experiment=peer", f"--train_dir={tempfile.mkdtemp()}",
+    ]  # fmt: skip
+    train_mujoco.main()
+
+
 TRAINERS: dict[str, Callable[[str, Note], None]] = {
     "sb3": _stable_baselines(True),
     "sb3-dummy": _stable_baselines(False),
@@ -62,6 +89,7 @@ TRAINERS: dict[str, Callable[[str, Note], None]] = {
     "cleanrl-8": _cleanrl(num_envs=8, num_steps=256, minibatches=32),
     "cleanrl-equal": _cleanrl(num_envs=8, num_steps=512, minibatches=8),
     "cleanrl-envpool": _cleanrl(num_envs=32, num_steps=128, minibatches=1, backend="envpool"),
+    "sample-factory": _sample_factory,
 }
 """equal: dppo's batch of 4096, 10 epochs of 8 minibatches; full: one minibatch per epoch."""
 
