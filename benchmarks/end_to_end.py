@@ -8,32 +8,15 @@ first one; that leaves out start-up, and our first iteration, which does not lea
 """
 
 import argparse
-import json
-import os
-import signal
 import statistics
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
-from benchmarks.measuring import (
-    ROOT,
-    Case,
-    Result,
-    SkippedError,
-    family,
-    median,
-    rss_mb,
-    say,
-    table,
-    usable_cores,
-)
+from benchmarks.measuring import Case, Result, SkippedError, median, say, table, usable_cores
 from benchmarks.peers import TRAINERS
 from benchmarks.recording import record
-
-Row = dict[str, float]
+from benchmarks.runs import Run, dppo, peer, speed
 
 
 def main() -> None:
@@ -86,84 +69,24 @@ def _raw(cases: list[Case]) -> float:
     return statistics.mean(speeds)
 
 
-def command(trainer: str, env: str, marks: Path, python: str) -> list[str]:
-    """The command line, as a user would give it; it appends to `marks` when it was where."""
-    if trainer != "dppo":
-        return [python, "-m", "benchmarks.peers", trainer, env, str(marks)]
-    return [
-        sys.executable, "-m", "learner", "--env", env, "--psi", "0.1", "--slots", "8",
-        "--total-timesteps", "10000000", "--run-dir", str(marks.parent),
-    ]  # fmt: skip
-
-
 def _trained(trainer: str, env: str, args: argparse.Namespace) -> Result:
     """Start it, let it train for a while, end it."""
-    with tempfile.TemporaryDirectory() as folder:
-        marks = Path(folder) / "run" / "metrics.jsonl"
-        if trainer != "dppo":
-            marks.parent.mkdir()
-        begun = time.time()
-        process = subprocess.Popen(
-            command(trainer, env, marks, _python(trainer, args)),
-            cwd=ROOT,
-            env=os.environ | {"PYTHONPATH": str(ROOT)},
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        try:
-            rows = _rows_of(process, marks, args.seconds)
-            memory = sum(rss_mb(pid) for pid in family(process.pid))
-        finally:
-            end(process)
-    first, last = rows[1], rows[-1]
-    steps = last["time/total_timesteps"] - first["time/total_timesteps"]
-    return {
-        "steps_per_second": steps / (last["time"] - first["time"]),
-        "iterations": len(rows) - 2,
-        "first_step_seconds": rows[0]["time"] - begun,
-        "memory_mb": memory,
-    }
+    python = _python(trainer, args)
+    command = dppo(env) if trainer == "dppo" else peer(trainer, env, python)
+    with Run(command) as run:
+        rows = run.trained(args.seconds)
+        return {
+            "steps_per_second": speed(rows),
+            "iterations": len(rows) - 2,
+            "first_step_seconds": rows[0]["time"] - run.begun,
+            "memory_mb": run.memory_mb,
+        }
 
 
 def _python(trainer: str, args: argparse.Namespace) -> str:
     """The interpreter that has this trainer."""
     other = args.sample_factory_python if trainer == "sample-factory" else ""
     return str(other or args.python)
-
-
-def _rows_of(process: subprocess.Popen[str], marks: Path, seconds: float) -> list[Row]:
-    """Rows at step 0, after the first iteration, and so on for at least `seconds` and 1 more."""
-    rows: list[Row] = []
-    while len(rows) < 3 or rows[-1]["time"] - rows[1]["time"] < seconds:
-        if process.poll() is not None:
-            assert process.stderr is not None
-            words = process.stderr.read().strip().splitlines()
-            raise SkippedError(words[-1] if words else f"it ended with code {process.returncode}")
-        time.sleep(0.05)
-        rows = read(marks)
-    return rows
-
-
-def read(marks: Path) -> list[Row]:
-    """The whole lines so far, from step 0 on."""
-    text = marks.read_text() if marks.exists() else ""
-    rows = [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
-    if rows and rows[0]["time/total_timesteps"] > 0:  # dppo's first row ends its first iteration
-        seconds = rows[0]["time/total_timesteps"] / rows[0]["charts/SPS"]
-        rows.insert(0, {"time/total_timesteps": 0.0, "time": rows[0]["time"] - seconds})
-    return rows
-
-
-def end(process: subprocess.Popen[str]) -> None:
-    """As a user would, and then for certain."""
-    process.send_signal(signal.SIGTERM)
-    try:
-        process.communicate(timeout=10)
-    except subprocess.TimeoutExpired:
-        os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
 
 
 def _arguments() -> argparse.Namespace:

@@ -74,9 +74,14 @@ class Case:
         return self.finish()
 
     def close(self) -> None:
-        """End the process."""
-        self._process.terminate()
-        self._process.wait()
+        """End the process: nothing more comes on its stdin."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        try:
+            self._process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
 
 
 def serve(prepare: Callable[[], Callable[[], Result]]) -> None:
