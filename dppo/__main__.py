@@ -1,4 +1,4 @@
-"""`dppo`: looks at what a run has left. Training is `dppo-learner`."""
+"""`dppo`: looks at what a run has left, and at the machine. Training is `dppo-learner`."""
 
 import json
 import sys
@@ -11,7 +11,10 @@ from dppo.settings import require
 if TYPE_CHECKING:
     from dppo.store.checkpoint import Checkpoint
 
-_USAGE = "usage: dppo {eval,checkpoint} RUN [options]; dppo eval --help, dppo checkpoint --help"
+_USAGE = (
+    "usage: dppo {eval,checkpoint} RUN [options], or dppo bench [options]; dppo eval --help, "
+    "dppo checkpoint --help, dppo bench --help"
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +50,22 @@ class CheckpointArgs:
     """best, newest, or a checkpoint's name such as iteration-00000040."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class BenchArgs:
+    """Measure how fast this machine steps an environment, against bare physics, with advice."""
+
+    env: str = "Ant-v4"
+    """Gymnasium environment id."""
+    seconds: float = 2.0
+    """Length of each of about eight measurements [s]."""
+    json: bool = False
+    """Print one line of JSON."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be run."""
+        require(0 < self.seconds <= 60, "seconds", self.seconds, "0 < seconds <= 60")
+
+
 def main(argv: list[str] | None = None) -> None:
     """Run one subcommand; exit code 2 for wrong usage."""
     from dppo.process import leave, no_window, one_thread
@@ -66,11 +85,13 @@ def _command(words: list[str]) -> int:
             return _eval(parse(EvalArgs, _run_first(rest), "dppo eval"))
         case ["checkpoint", *rest]:
             return _checkpoint(parse(CheckpointArgs, _run_first(rest), "dppo checkpoint"))
+        case ["bench", *rest]:
+            return _bench(parse(BenchArgs, rest, "dppo bench"))
         case ["-h" | "--help", *_]:
             print(f"{_USAGE}\n\n{__doc__}")
             return 0
     found = words[0] if words else "nothing"
-    print(f"error: found {found}, expected eval or checkpoint\n{_USAGE}", file=sys.stderr)
+    print(f"error: found {found}, expected eval, checkpoint or bench\n{_USAGE}", file=sys.stderr)
     return 2
 
 
@@ -123,6 +144,20 @@ def _checkpoint(args: CheckpointArgs) -> int:
         },
     }
     print(json.dumps(summary, indent=2))
+    return 0
+
+
+def _bench(args: BenchArgs) -> int:
+    from workers.bench import bench
+
+    found = bench(args.env, args.seconds)
+    if args.json:
+        print(found.to_json())
+        return 0
+    for line in found.lines():
+        print(line)
+    for sentence in found.advice():
+        print(f"- {sentence}")
     return 0
 
 
