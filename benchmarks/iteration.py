@@ -14,7 +14,7 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-from benchmarks.measuring import ONE_THREAD, ROOT, Result, say, table, usable_cores
+from benchmarks.measuring import ONE_THREAD, Result, say, started, table, usable_cores
 from benchmarks.puppets import config_of
 from benchmarks.stopwatch import REST, Place, Stopwatch
 
@@ -91,14 +91,9 @@ def _measured(args: argparse.Namespace) -> dict[str, dict[str, float]]:
 
 
 def _started(address: str, number: int) -> subprocess.Popen[str]:
-    words = ("--connect", address, "--name", f"worker-{number}")
-    return subprocess.Popen(
-        [sys.executable, "-m", "benchmarks.iteration", *words],
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=ROOT,
-        env=os.environ | ONE_THREAD | {"PYTHONPATH": str(ROOT)},
-    )
+    words = [sys.executable, "-m", "benchmarks.iteration", "--connect", address]
+    words += ["--name", f"worker-{number}"]
+    return started(words, ONE_THREAD, stdout=subprocess.PIPE)
 
 
 def _lead(address: str, args: argparse.Namespace) -> tuple[dict[str, float], list[str]]:

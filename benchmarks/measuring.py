@@ -24,6 +24,23 @@ class SkippedError(Exception):
     """The case cannot be measured here: a sentence that says why."""
 
 
+def started(
+    words: Sequence[str],
+    environment: Mapping[str, str],
+    **options: Any,  # noqa: ANN401  of Popen
+) -> subprocess.Popen[str]:
+    """A process in this checkout.
+
+    Raises:
+        SkippedError: there is no such program.
+    """
+    env = os.environ | environment | {"PYTHONPATH": str(ROOT)}
+    try:
+        return subprocess.Popen(words, cwd=ROOT, env=env, text=True, **options)
+    except OSError as error:
+        raise SkippedError(f"{words[0]} cannot be started: {error}") from error
+
+
 class Case:
     """One thing to measure, as a process that waits for a go."""
 
@@ -38,14 +55,8 @@ class Case:
         Raises:
             SkippedError: the process says that it cannot measure, or does not start.
         """
-        self._process = subprocess.Popen(
-            [python, "-m", *words],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            cwd=ROOT,
-            env=os.environ | ONE_THREAD | {"PYTHONPATH": str(ROOT)},
-        )
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+        self._process = started([python, "-m", *words], ONE_THREAD, **pipes)
         if core is not None:
             os.sched_setaffinity(self._process.pid, {core})
         ready = self.finish()

@@ -26,6 +26,7 @@ class Recording:
     start: Float64  # [n, q]  states after the first reset
     restart: Float64  # [resets, q]  states after the others, in order
     last: Float64  # [n, q]  states at the end
+    last_obs: Float64  # [n, O]  what gymnasium observed there
 
     @property
     def steps(self) -> int:
@@ -79,7 +80,7 @@ def record(
     until = time.perf_counter() + seconds
     while len(actions) < most and (not actions or time.perf_counter() < until):
         action = _actions(rng, kind, num_envs, space)
-        _, _, terminated, truncated, _ = envs.step(action)
+        obs, _, terminated, truncated, _ = envs.step(action)
         ended = terminated | truncated
         actions.append(action)
         ends.append(ended)
@@ -88,7 +89,7 @@ def record(
     last = _states(envs)
     envs.close()
     restart = np.concatenate(restarts) if restarts else np.empty((0, start.shape[1]))
-    return Recording(env_id, np.array(actions), np.array(ends), start, restart, last)
+    return Recording(env_id, np.array(actions), np.array(ends), start, restart, last, obs)
 
 
 def _actions(

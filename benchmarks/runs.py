@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
-from benchmarks.measuring import ROOT, SkippedError, family, rss_mb
+from benchmarks.measuring import SkippedError, family, rss_mb, started
 
 Row = dict[str, float]
 STEPS, TIME = "time/total_timesteps", "time"
@@ -27,10 +27,9 @@ class Run:
         self.output = Path(self._folder.name) / "output.txt"
         self.begun = time.time()
         with self.output.open("w") as output:
-            self.process = subprocess.Popen(
+            self.process = started(
                 command(self.marks),
-                cwd=ROOT,
-                env=os.environ | {"PYTHONPATH": str(ROOT)},
+                {},
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,

@@ -15,6 +15,7 @@ from typing import Any
 import gymnasium
 import mujoco
 import numpy as np
+from gymnasium.vector import AutoresetMode
 
 from benchmarks.measuring import Result, SkippedError, serve
 from benchmarks.recording import Recording, quiet, seeds, sync_vector
@@ -128,14 +129,14 @@ def _compiled(package: Path) -> ctypes.PyDLL:
 
 
 def vector(recording: Recording, envs: Any) -> Callable[[], Result]:  # noqa: ANN401  any vector
-    """Any vector environment that takes seeds."""
+    """Any vector environment that takes seeds and resets within the step that ends an episode."""
 
     def measure() -> Result:
         envs.reset(seed=seeds(recording.action.shape[1]))
         begun = time.perf_counter()
         for action in recording.action:
-            envs.step(action)
-        return _speed(recording, begun)
+            obs, *_ = envs.step(action)
+        return _speed(recording, begun) | {"same": np.array_equal(obs, recording.last_obs)}
 
     return measure
 
@@ -152,7 +153,9 @@ def ours(recording: Recording) -> Callable[[], Result]:
     if not hasattr(envs, "make_vec"):
         raise SkippedError("workers.envs has no make_vec yet")
     envs.quiet()
-    return vector(recording, envs.make_vec(recording.env, recording.action.shape[1]))
+    mode = AutoresetMode.SAME_STEP
+    made = envs.make_vec(recording.env, recording.action.shape[1], autoreset_mode=mode)
+    return vector(recording, made)
 
 
 def envpool_sync(recording: Recording) -> Callable[[], Result]:
