@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from dppo.config import Config
 from dppo.distributions import Distribution
+from dppo.experience import Experience
 from dppo.losses import kl_weight, policy_objective, softplus, softplus_derivative
 from dppo.moments import FloatArray
-from dppo.networks import Network, Networks
-from dppo.rollout import Experience
+from dppo.networks import Networks
 from dppo.streams import stream
 
 Float32 = NDArray[np.float32]
@@ -109,7 +109,6 @@ def block_gradient(
     distribution: Distribution,
     parameters: Float32,
     experiences: Sequence[Experience],
-    advantages: Sequence[Float32],
     minibatches: Sequence[Minibatch],
     beta: float,
     config: Config,
@@ -120,8 +119,7 @@ def block_gradient(
         networks: layout of the vector.
         distribution: of the actions.
         parameters: [P] at this update.
-        experiences: of each slot, from the same parameters.
-        advantages: [N] A of each slot, standardised over all slots of the run.
+        experiences: of each slot, from the same parameters; their advantages are known.
         minibatches: of each slot; equally long.
         beta: β.
         config: of the run.
@@ -135,41 +133,23 @@ def block_gradient(
     sums = np.zeros((len(experiences), len(_COLUMN)))
     active = [index for index, batch in enumerate(minibatches) if batch.policy is not None]
     if active:
-        part, facts = _policy_gradient(
-            networks,
-            distribution,
-            parameters,
-            [experiences[index] for index in active],
-            [advantages[index] for index in active],
-            [rows for index in active if (rows := minibatches[index].policy) is not None],
-            beta,
-            config,
+        everyone = len(active) == len(experiences)
+        chosen = [experiences[index] for index in active]
+        rows = [batch.policy for batch in minibatches if batch.policy is not None]
+        part = vectors[:, networks.parts["policy"]]
+        gradient = part if everyone else np.empty((len(active), part.shape[1]), np.float32)
+        sums[active] = _policy_gradient(
+            networks, distribution, parameters, chosen, rows, beta, config, gradient
         )
-        vectors[active, networks.parts["policy"]] = part
-        sums[active] = facts
+        if not everyone:
+            part[active] = gradient
     fitted = [batch.critics for batch in minibatches if batch.critics is not None]
     if fitted:
-        obs = _gather([e.critic_obs for e in experiences], fitted)
-        sums[:, _COLUMN["critic_weight"]] = obs.shape[1]
-        sums[:, _COLUMN["value_loss"]] = _critic_gradient(
-            networks,
-            "value",
-            parameters,
-            obs,
-            _gather([e.v_target for e in experiences], fitted),
-            False,
-            vectors,
-        )
-        if networks.variance is not None:
-            sums[:, _COLUMN["variance_loss"]] = _critic_gradient(
-                networks,
-                "variance",
-                parameters,
-                obs,
-                _gather([e.sigma_target for e in experiences], fitted),
-                config.safety.sigma_head == "softplus",
-                vectors,
-            )
+        positive = config.safety.sigma_head == "softplus"
+        losses = _critic_gradients(networks, parameters, experiences, fitted, positive, vectors)
+        sums[:, _COLUMN["critic_weight"]] = len(fitted[0])
+        for name, loss in zip(("value_loss", "variance_loss"), losses, strict=False):
+            sums[:, _COLUMN[name]] = loss
     return vectors, sums
 
 
@@ -178,16 +158,18 @@ def slot_kl(
 ) -> Sums:
     """KL[π_old‖π] over all of a slot's samples: what β is adapted by."""
     policy, log_std = networks.split_policy(parameters)
-    output, _ = networks.policy.forward(policy, experience.obs)
-    kl = distribution.kl(experience.output_old, experience.log_std_old, output, log_std)
+    table, columns = experience.policy, experience.columns
+    output, _ = networks.policy.forward(policy, columns.obs(table))
+    old = columns.output_old(table)
+    kl = distribution.kl(old, experience.log_std_old, output, log_std)
     return Sums(kl=float(kl.astype(np.float64).sum()), kl_weight=float(len(kl)))
 
 
-def _gather(arrays: Sequence[Float32], rows: Sequence[Rows]) -> Float32:
-    """The chosen rows of each slot, [S, n, ...]."""
-    chosen = np.empty((len(rows), len(rows[0]), *arrays[0].shape[1:]), np.float32)
-    for target, array, index in zip(chosen, arrays, rows, strict=True):
-        np.take(array, index, axis=0, out=target)
+def _gather(tables: Sequence[Float32], rows: Sequence[Rows]) -> Float32:
+    """The chosen rows of each slot's table, [S, n, F]."""
+    chosen = np.empty((len(rows), len(rows[0]), tables[0].shape[1]), np.float32)
+    for target, table, index in zip(chosen, tables, rows, strict=True):
+        table.take(index, axis=0, out=target, mode="clip")  # no index is out of bounds
     return chosen
 
 
@@ -196,37 +178,34 @@ def _policy_gradient(
     distribution: Distribution,
     parameters: Float32,
     experiences: Sequence[Experience],
-    advantages: Sequence[Float32],
     rows: Sequence[Rows],
     beta: float,
     config: Config,
-) -> tuple[Float32, FloatArray]:
-    """∂(−J)/∂θ = −ratio A ∂log π + (β + hinge) ∂KL, summed over samples [S, policy's part]."""
+    gradient: Float32,
+) -> FloatArray:
+    """∂(−J)/∂θ = −ratio A ∂log π + (β + hinge) ∂KL, summed over samples, into [S, policy's part].
+
+    Returns:
+        [S, 7] `Sums` of the policy.
+    """
     policy, log_std = networks.split_policy(parameters)
     old_log_std = experiences[0].log_std_old  # the same for all: π_old's parameter
-    old = _gather([e.output_old for e in experiences], rows)
-    action = _gather([e.action for e in experiences], rows)
-    output, inputs = networks.policy.forward(policy, _gather([e.obs for e in experiences], rows))
+    columns, table = experiences[0].columns, _gather([e.policy for e in experiences], rows)
+    old, action = columns.output_old(table).copy(), columns.action(table).copy()
+    output, inputs = networks.policy.forward(policy, columns.obs(table))
 
+    count = output.shape[1]
     kl_sums = distribution.kl(old, old_log_std, output, log_std).astype(np.float64).sum(axis=1)
+    kl = kl_sums / count
     log_prob = distribution.log_prob(output, log_std, action)
-    ratio = np.exp(log_prob - _gather([e.log_prob_old for e in experiences], rows))
-    gain = ratio * _gather(advantages, rows)
-    weight, facts = np.empty(len(rows), np.float32), np.zeros((len(rows), len(_COLUMN)))
-    count, skips = output.shape[1], []
-    for slot, total in enumerate(kl_sums):
-        kl = float(total) / count
-        weight[slot] = kl_weight(kl, beta, config.kl)
-        skip = config.kl.kl_scope == "worker" and kl > config.kl.kl_stop * config.kl.kl_target
-        objective = 0.0 if skip else policy_objective(gain[slot], kl, beta, config.kl)
-        skips += [slot] if skip else []
-        # in the order of Sums: policy weight, critic weight, KL weight, KL, J, losses
-        facts[slot, :5] = (0.0 if skip else count, 0.0, count, total, objective * count)
+    ratio = np.exp(log_prob - columns.log_prob_old(table))
+    gain = ratio * columns.advantage(table)
+    weight = kl_weight(kl, beta, config.kl).astype(np.float32)
+    skips = (kl > config.kl.kl_stop * config.kl.kl_target) & (config.kl.kl_scope == "worker")
 
     d_log_prob, d_log_prob_std = distribution.log_prob_gradient(output, log_std, action)
     d_kl, d_kl_std = distribution.kl_gradient(old, old_log_std, output, log_std)
     g, w = gain[..., None], weight[:, None, None]
-    gradient = np.empty((len(rows), networks.policy.size + networks.log_std_size), np.float32)
     networks.policy.backward(
         policy, inputs, w * d_kl - g * d_log_prob, gradient[:, : networks.policy.size]
     )
@@ -234,31 +213,41 @@ def _policy_gradient(
         slope = w * d_kl_std - g * d_log_prob_std
         gradient[:, networks.policy.size :] = (np.ones((1, count), np.float32) @ slope)[:, 0]
     gradient[skips] = 0.0
-    return gradient, facts
+    facts = np.zeros((len(rows), len(_COLUMN)))
+    facts[:, _COLUMN["policy_weight"]] = np.where(skips, 0.0, count)
+    facts[:, _COLUMN["kl_weight"]] = count
+    facts[:, _COLUMN["kl"]] = kl_sums
+    objective = policy_objective(gain, kl, beta, config.kl) * count
+    facts[:, _COLUMN["objective"]] = np.where(skips, 0.0, objective)
+    return facts
 
 
-def _critic_gradient(
+def _critic_gradients(
     networks: Networks,
-    name: Network,
     parameters: Float32,
-    obs: Float32,
-    target: Float32,
+    experiences: Sequence[Experience],
+    rows: Sequence[Rows],
     positive: bool,
     vectors: Float32,
 ) -> FloatArray:
-    """∂L/∂parameters of one critic, summed over samples, into its part of `vectors`; L [S].
+    """∂L/∂parameters of the critics, summed over samples, into `vectors` [S, P]; L [C, S].
 
-    L = (target − prediction)², the prediction softplus(output) if it has to be positive.
+    L = (target − prediction)²; σ's prediction is softplus(output) if it has to be positive. The
+    C critics (V, and σ if there is one) have one shape and see the same rows: one product a layer.
     """
-    mlp = networks.value if name == "value" else networks.variance
-    assert mlp is not None
-    part = networks.parts[name]
-    output, inputs = mlp.forward(parameters[part], obs)
+    count = 1 if networks.variance is None else 2
+    mlp, critics = networks.value, networks.critics
+    columns, table = experiences[0].columns, _gather([e.critics for e in experiences], rows)
+    vector = parameters[critics].reshape(count, 1, mlp.size)
+    output, inputs = mlp.forward(vector, columns.obs(table))
     raw = output[..., 0]
-    error = (softplus(raw) if positive else raw) - target
+    error = raw - columns.targets(table, count)
+    if positive and count == 2:
+        error[1] = softplus(raw[1]) - columns.targets(table, count)[1]
     slope = 2 * error
-    if positive:
-        slope *= softplus_derivative(raw)
-    mlp.backward(parameters[part], inputs, slope[..., None], vectors[:, part])
-    losses: FloatArray = np.square(error.astype(np.float64)).sum(axis=1)
+    if positive and count == 2:
+        slope[1] *= softplus_derivative(raw[1])
+    gradient = vectors[:, critics].reshape(len(rows), count, mlp.size).swapaxes(0, 1)
+    mlp.backward(vector, inputs, slope[..., None], gradient)
+    losses: FloatArray = np.square(error.astype(np.float64)).sum(axis=-1)
     return losses

@@ -17,25 +17,27 @@ from dppo.moments import FloatArray, Moments
 Float32 = NDArray[np.float32]
 
 
-def policy_objective(gain: Float32, kl: float, beta: float, config: KlConfig) -> float:
-    """J of one set of samples (eq. 21).
+def policy_objective(gain: Float32, kl: FloatArray, beta: float, config: KlConfig) -> FloatArray:
+    """J [S] of some sets of samples (eq. 21).
 
     Args:
-        gain: [N] ratio · A, with ratio = π(a|s) / π_old(a|s) and A = A_V − ψ A_σ.
-        kl: mean KL[π_old‖π] over the samples [nats].
+        gain: [S, N] ratio · A, with ratio = π(a|s) / π_old(a|s) and A = A_V − ψ A_σ.
+        kl: [S] mean KL[π_old‖π] over the samples [nats].
         beta: β.
         config: KL_target and ξ.
     """
-    return float(
-        np.mean(gain.astype(np.float64))
+    objective: FloatArray = (
+        np.mean(gain.astype(np.float64), axis=-1)
         - beta * kl
-        - config.hinge_coef * max(0.0, kl - 2 * config.kl_target) ** 2
+        - config.hinge_coef * np.square(np.maximum(0.0, kl - 2 * config.kl_target))
     )
+    return objective
 
 
-def kl_weight(kl: float, beta: float, config: KlConfig) -> float:
-    """−∂J/∂KL = β + 2 ξ max(0, KL − 2 KL_target)."""
-    return beta + 2 * config.hinge_coef * max(0.0, kl - 2 * config.kl_target)
+def kl_weight(kl: FloatArray, beta: float, config: KlConfig) -> FloatArray:
+    """−∂J/∂KL [S] = β + 2 ξ max(0, KL − 2 KL_target)."""
+    weight: FloatArray = beta + 2 * config.hinge_coef * np.maximum(0.0, kl - 2 * config.kl_target)
+    return weight
 
 
 def softplus(x: Float32) -> Float32:

@@ -51,18 +51,18 @@ class Mlp:
         return views
 
     def forward(self, vector: Float32, x: Float32) -> tuple[Float32, list[Float32]]:
-        """Output [..., N, K] of x [..., N, O]; each layer's input for `backward`."""
+        """Output [..., N, K] of x [..., N, O]; each layer's input for `backward`.
+
+        Axes before the last of `vector` are several networks of this shape, each applied to x.
+        """
         inputs = []
         layers = self.layers(vector)
-        for weight, bias in layers[:-1]:
+        for index, (weight, bias) in enumerate(layers):
             inputs.append(x)
             x = x @ weight
-            x += bias
-            np.tanh(x, out=x)
-        inputs.append(x)
-        weight, bias = layers[-1]
-        x = x @ weight
-        x += bias
+            x += bias[..., None, :]
+            if index < len(layers) - 1:
+                np.tanh(x, out=x)
         return x, inputs
 
     def backward(
@@ -79,7 +79,8 @@ class Mlp:
             np.matmul(x.swapaxes(-1, -2), d_output, out=d_weight)
             np.matmul(ones, d_output, out=d_bias[..., None, :])
             if index > 0:
-                d_output = d_output @ layers[index][0].T
+                back = np.ascontiguousarray(layers[index][0].swapaxes(-1, -2))
+                d_output = d_output * back if d_output.shape[-1] == 1 else d_output @ back
                 slope = x * x
                 np.subtract(1, slope, out=slope)  # the derivative of tanh, from its value
                 d_output *= slope
@@ -142,6 +143,11 @@ class Networks:
         if self.variance is not None:
             slices["variance"] = slice(ends[1], ends[1] + self.variance.size)
         return slices
+
+    @cached_property
+    def critics(self) -> slice:
+        """Where the critics' parameters lie: V's, then σ's if there is one."""
+        return slice(self.parts["value"].start, self.size)
 
     @property
     def size(self) -> int:

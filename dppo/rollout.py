@@ -1,5 +1,6 @@
-"""Experience of one slot in one iteration: what happened, then what is learned from."""
+"""What happened in one iteration, and what is made of it for learning."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,9 +8,10 @@ from numpy.typing import NDArray
 
 from dppo.config import Config
 from dppo.distributions import Distribution
+from dppo.experience import Experience, critics_table
 from dppo.losses import AdvantageStatistics, softplus
 from dppo.moments import FloatArray, Moments
-from dppo.networks import Networks
+from dppo.networks import Network, Networks
 from dppo.normalizer import Statistics
 from dppo.returns import Estimate, estimate, estimate_variance, td_errors
 
@@ -38,22 +40,6 @@ class Rollout:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Experience:
-    """One slot's iteration, ready for its updates. N = T · E samples in time order."""
-
-    obs: Float32  # [N, O]
-    action: Float32  # [N, A]
-    output_old: Float32  # [N, K]  the policy's output before the updates
-    log_std_old: Float32  # [A]
-    log_prob_old: Float32  # [N]
-    a_v: FloatArray  # [N]
-    a_sigma: FloatArray  # [N]
-    v_target: Float32  # [N]
-    sigma_target: Float32  # [N]  in units of the variance network's output
-    critic_obs: Float32  # [N or 2 N, O]  `obs`, with the previous iteration's if replayed
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Replay:
     """The previous iteration's critic samples of one slot, in raw reward units."""
 
@@ -73,26 +59,77 @@ class CriticFacts:
 
 
 def prepare(
-    rollout: Rollout,
-    replay: Replay | None,
+    rollouts: Sequence[Rollout],
+    replays: Sequence[Replay | None],
     networks: Networks,
     distribution: Distribution,
     parameters: Float32,
     statistics: Statistics,
     psi: float,
     config: Config,
-) -> tuple[Experience, Replay, CriticFacts]:
-    """Advantages, targets and π_old of a rollout, from the parameters that collected it."""
-    scale, unit = statistics.reward_scale(config), statistics.sigma_unit(config)
-    obs = rollout.obs.reshape(-1, rollout.obs.shape[-1])
-    action = rollout.action.reshape(len(obs), -1)
+) -> list[tuple[Experience, Replay, CriticFacts]]:
+    """Advantages, targets and π_old of each slot's rollout, from the parameters of the rollout.
+
+    Slots are computed side by side, [S, N, ...], each with the bits it would have alone.
+    """
+    obs = np.stack([_samples(rollout.obs) for rollout in rollouts])
+    action = np.stack([_samples(rollout.action) for rollout in rollouts])
     policy, log_std = networks.split_policy(parameters)
     output, _ = networks.policy.forward(policy, obs)
+    log_prob = distribution.log_prob(output, log_std, action)
+    estimates = _estimates(rollouts, obs, networks, parameters, statistics, config)
+    return [
+        _slot(
+            rollout,
+            replay,
+            estimates.of(index),
+            (obs[index], action[index], output[index], log_prob[index], log_std.copy()),
+            statistics,
+            psi,
+            config,
+        )
+        for index, (rollout, replay) in enumerate(zip(rollouts, replays, strict=True))
+    ]
 
-    v, value = _value(rollout, networks, parameters, scale, config)
-    sigma, variance = _variance(rollout, value[0], networks, parameters, statistics, config)
-    a_v, a_sigma = value[1].advantage.ravel(), variance.advantage.ravel()
-    v_target, sigma_target = value[1].target.ravel(), variance.target.ravel()
+
+def _samples(array: Float32) -> Float32:
+    """[T, E, F] as [N, F]."""
+    return array.reshape(-1, array.shape[-1])
+
+
+@dataclass(frozen=True, slots=True)
+class _Estimates:
+    """Of all slots side by side: [T, S, E]."""
+
+    v: FloatArray
+    value: Estimate
+    sigma: FloatArray
+    variance: Estimate
+
+    def of(self, slot: int) -> "_Estimates":
+        """Of one slot: [T, E]."""
+        return _Estimates(
+            self.v[:, slot],
+            Estimate(self.value.advantage[:, slot], self.value.target[:, slot]),
+            self.sigma[:, slot],
+            Estimate(self.variance.advantage[:, slot], self.variance.target[:, slot]),
+        )
+
+
+def _slot(
+    rollout: Rollout,
+    replay: Replay | None,
+    estimates: _Estimates,
+    acted: tuple[Float32, Float32, Float32, Float32, Float32],
+    statistics: Statistics,
+    psi: float,
+    config: Config,
+) -> tuple[Experience, Replay, CriticFacts]:
+    """One slot's tables, what to keep for its next iteration, and what the chief is told."""
+    obs, action, output, log_prob, log_std = acted
+    scale, unit = statistics.reward_scale(config), statistics.sigma_unit(config)
+    a_v, a_sigma = estimates.value.advantage.ravel(), estimates.variance.advantage.ravel()
+    v_target, sigma_target = estimates.value.target.ravel(), estimates.variance.target.ravel()
 
     kept = Replay(obs=obs, v_target=v_target / scale, sigma_target=sigma_target / unit)
     critic_obs = obs
@@ -100,80 +137,78 @@ def prepare(
         critic_obs = np.concatenate([obs, replay.obs])
         v_target = np.concatenate([v_target, replay.v_target * scale])
         sigma_target = np.concatenate([sigma_target, replay.sigma_target * unit])
-    experience = Experience(
+    experience = Experience.of(
         obs=obs,
         action=action,
         output_old=output,
-        log_std_old=log_std.copy(),
-        log_prob_old=distribution.log_prob(output, log_std, action),
+        log_std_old=log_std,
+        log_prob_old=log_prob,
         a_v=a_v,
         a_sigma=a_sigma,
-        v_target=v_target.astype(np.float32),
-        sigma_target=(sigma_target / statistics.sigma_scale(config)).astype(np.float32),
-        critic_obs=critic_obs,
+        critics=critics_table(critic_obs, v_target, sigma_target / statistics.sigma_scale(config)),
     )
-    raw_sigma = sigma / unit
-    residual = value[1].target - v
+    raw_sigma = estimates.sigma / unit
+    target = estimates.value.target
     facts = CriticFacts(
         advantages=AdvantageStatistics.of(a_v, a_sigma, psi),
-        fit=Moments.of(np.stack([value[1].target, residual, raw_sigma], -1).reshape(-1, 3)),
+        fit=Moments.of(np.stack([target, target - estimates.v, raw_sigma], -1).reshape(-1, 3)),
         sigma_target=Moments.of(kept.sigma_target),
         start_sigma=Moments.of(raw_sigma[rollout.starts]),
     )
     return experience, kept, facts
 
 
-def _value(
-    rollout: Rollout, networks: Networks, parameters: Float32, scale: float, config: Config
-) -> tuple[FloatArray, tuple[FloatArray, Estimate]]:
-    """V(s_t) [T, E]; the δ that feeds σ [T, E]; advantage and target of V."""
-    part = parameters[networks.parts["value"]]
-    shape = rollout.reward.shape
-
-    def critic(x: Float32) -> FloatArray:
-        output, _ = networks.value.forward(part, x.reshape(-1, x.shape[-1]))
-        return output.astype(np.float64).reshape(shape)
-
-    returns = config.returns
-    v, v_next = critic(rollout.obs), critic(rollout.next_obs)
-    delta, estimated = estimate(
-        scale * rollout.reward,
-        v,
-        v_next,
-        rollout.terminated,
-        rollout.ended,
-        discount=returns.gamma,
-        trace=returns.gae_lambda,
-        monte_carlo=returns.targets == "monte-carlo",
-    )
-    if returns.delta_reward == "raw":
-        delta = td_errors(rollout.reward, v, v_next, rollout.terminated, returns.gamma)
-    return v, (delta, estimated)
-
-
-def _variance(
-    rollout: Rollout,
-    delta: FloatArray,
+def _estimates(
+    rollouts: Sequence[Rollout],
+    obs: Float32,
     networks: Networks,
     parameters: Float32,
     statistics: Statistics,
     config: Config,
-) -> tuple[FloatArray, Estimate]:
-    """σ(s_t) [T, E]; advantage and target of σ. All zero without a variance critic."""
-    mlp = networks.variance
-    if mlp is None:
-        zero = np.zeros_like(delta)
-        return zero, Estimate(zero, zero)
-    part = parameters[networks.parts["variance"]]
-    unit = statistics.sigma_scale(config)
-
-    def critic(x: Float32) -> FloatArray:
-        output, _ = mlp.forward(part, x.reshape(-1, x.shape[-1]))
-        if config.safety.sigma_head == "softplus":
-            output = softplus(output)
-        return unit * output.astype(np.float64).reshape(delta.shape)
-
-    sigma, sigma_next = critic(rollout.obs), critic(rollout.next_obs)
-    return sigma, estimate_variance(
-        delta, sigma, sigma_next, rollout.terminated, rollout.ended, config.returns
+) -> _Estimates:
+    """V, σ, and advantages and targets of both, for all slots."""
+    next_obs = np.stack([_samples(rollout.next_obs) for rollout in rollouts])
+    reward, terminated, ended = (
+        np.stack([getattr(rollout, name) for rollout in rollouts], axis=1)
+        for name in ("reward", "terminated", "ended")
     )
+
+    def in_time(values: Float32) -> FloatArray:
+        """[S, N] as [T, S, E]."""
+        steps, slots, envs = reward.shape
+        return values.astype(np.float64).reshape(slots, steps, envs).swapaxes(0, 1)
+
+    v, v_next = (in_time(x) for x in _critic(networks, "value", parameters, obs, next_obs))
+    scale, returns = statistics.reward_scale(config), config.returns
+    delta, value = estimate(
+        scale * reward,
+        v,
+        v_next,
+        terminated,
+        ended,
+        discount=returns.gamma,
+        trace=returns.gae_lambda,
+        monte_carlo=returns.targets == "monte-carlo",
+    )
+    if networks.variance is None:
+        zero = np.zeros_like(delta)
+        return _Estimates(v, value, zero, Estimate(zero, zero))
+    if returns.delta_reward == "raw":
+        delta = td_errors(reward, v, v_next, terminated, returns.gamma)
+    outputs = _critic(networks, "variance", parameters, obs, next_obs)
+    if config.safety.sigma_head == "softplus":
+        outputs = (softplus(outputs[0]), softplus(outputs[1]))
+    unit = statistics.sigma_scale(config)
+    sigma, sigma_next = (unit * in_time(x) for x in outputs)
+    variance = estimate_variance(delta, sigma, sigma_next, terminated, ended, returns)
+    return _Estimates(v, value, sigma, variance)
+
+
+def _critic(
+    networks: Networks, name: Network, parameters: Float32, obs: Float32, next_obs: Float32
+) -> tuple[Float32, Float32]:
+    """Outputs [S, N] of a critic for s_t and s_{t+1}."""
+    part = parameters[networks.parts[name]]
+    now, _ = networks.value.forward(part, obs)  # both critics have the value network's shape
+    later, _ = networks.value.forward(part, next_obs)
+    return now[..., 0], later[..., 0]

@@ -1,4 +1,4 @@
-"""Environments: made by id, described by sizes, refused by name."""
+"""Environments: made by id, alone or n at a time, described by sizes, refused by name."""
 
 import difflib
 import hashlib
@@ -12,14 +12,19 @@ from typing import Any, Literal
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from dppo.config import RunConfig
 from dppo.errors import UsageError
 from dppo.spaces import Spaces
+from workers.generic_vec import GenericVec
+from workers.kinds import kind_of
+from workers.mujoco_vec import MujocoVec
 
 Env = gymnasium.Env[Any, Any]
 Exactness = Literal["captured", "replayed", "off"]
+Vec = MujocoVec | GenericVec
 _TRANSPARENT = (
     gymnasium.wrappers.TimeLimit,
     gymnasium.wrappers.OrderEnforcing,
@@ -41,14 +46,88 @@ def make_env(config: RunConfig) -> Env:
         hint = f"did you mean {', '.join(near)}?" if near else "see gymnasium.registry"
         raise UsageError(f"--env is {config.env!r}, which Gymnasium does not know; {hint}")
     try:
-        return gymnasium.make(
-            config.env, disable_env_checker=True, **json.loads(config.env_kwargs)
-        )
+        return _make(config.env, json.loads(config.env_kwargs))
     except Exception as error:  # an environment's constructor may raise anything
         raise UsageError(
             f"{config.env} cannot be made with {config.env_kwargs}: "
             f"{type(error).__name__}: {error}"
         ) from error
+
+
+def make_vec(
+    env_id: str,
+    num_envs: int,
+    *,
+    autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+    **kwargs: Any,  # noqa: ANN401  the environment's own
+) -> Vec:
+    """`num_envs` environments in one vector environment, at the speed of physics where possible.
+
+    Gymnasium's own MuJoCo environments, -v4 and -v5, are batched: the same bits as Gymnasium's
+    in observations, rewards, ends and infos, several times sooner. Any other id, or one that
+    renders, is stepped one environment after the other.
+
+    Besides `reset(seed=[...])` and `step(actions)`, both have `snapshot()` and `restore()`: exact
+    for MuJoCo, by replaying for others, whose `is_exact(row)` tells whether that worked.
+
+    Args:
+        env_id: Gymnasium id.
+        num_envs: n.
+        autoreset_mode: when rows whose episode ended begin anew; as in Gymnasium.
+        kwargs: of the environment, as for gymnasium.make.
+
+    Example:
+        vec = make_vec("Ant-v4", 16, ctrl_cost_weight=0.1)
+        obs, _ = vec.reset(seed=list(range(16)))
+        obs, reward, terminated, truncated, info = vec.step(vec.action_space.sample())
+    """
+    if num_envs < 1:
+        raise ValueError(f"num_envs is {num_envs}, expected >= 1")
+    return _vec([_make(env_id, kwargs)], env_id, kwargs, num_envs, autoreset_mode, True, True)
+
+
+def training_vec(config: RunConfig, num_envs: int, remember: bool) -> Vec:
+    """What a slot's environments are: flat observations, no infos, reset by the trainer alone.
+
+    Args:
+        config: of the run.
+        num_envs: n.
+        remember: how rows came to where they are, for snapshots.
+    """
+    kwargs = json.loads(config.env_kwargs)
+    first = _flat(make_env(config))
+    return _vec([first], config.env, kwargs, num_envs, AutoresetMode.DISABLED, False, remember)
+
+
+def _vec(
+    made: list[Env],
+    env_id: str,
+    kwargs: dict[str, Any],
+    num_envs: int,
+    autoreset_mode: AutoresetMode,
+    infos: bool,
+    remember: bool,
+) -> Vec:
+    """Batched if the first environment is of a kind that can be, else one after the other."""
+    kind = kind_of(made[0].unwrapped) if exactness(made[0], True) == "captured" else None
+    if kind is not None and made[0].render_mode is None:
+        return MujocoVec(made[0], kind, num_envs, autoreset_mode, infos)
+    flat = isinstance(made[0], gymnasium.wrappers.FlattenObservation)
+    more = (_make(env_id, kwargs) for _ in range(num_envs - 1))
+    return GenericVec(
+        [*made, *(_flat(env) if flat else env for env in more)], autoreset_mode, remember
+    )
+
+
+def _make(env_id: str, kwargs: dict[str, Any]) -> Env:
+    return gymnasium.make(env_id, disable_env_checker=True, **kwargs)
+
+
+def _flat(env: Env) -> Env:
+    """With observations that are vectors."""
+    if isinstance(env.observation_space, spaces.Box):
+        return env
+    return gymnasium.wrappers.FlattenObservation(env)
 
 
 def spaces_of(env: Env) -> Spaces:
@@ -127,6 +206,20 @@ class Adapter:
                 return int(discrete.start) + int(action[0])
             case spaces.MultiDiscrete() as multi:
                 chosen = action.astype(np.int64).reshape(multi.nvec.shape)
+                return (multi.start + chosen).astype(multi.dtype, copy=False)
+        raise AssertionError(f"spaces_of lets no {self.action} through")
+
+    def to_envs(self, action: NDArray[np.float32]) -> NDArray[Any]:
+        """The actions of n environments from [n, A]; see `to_env`."""
+        match self.action:
+            case spaces.Box() as box:
+                rows = action.reshape(-1, *box.shape)
+                bounded = np.minimum(np.maximum(rows, box.low), box.high)
+                return bounded.astype(box.dtype, copy=False)
+            case spaces.Discrete() as discrete:
+                return np.asarray(discrete.start + action[:, 0].astype(np.int64))
+            case spaces.MultiDiscrete() as multi:
+                chosen = action.astype(np.int64).reshape(-1, *multi.nvec.shape)
                 return (multi.start + chosen).astype(multi.dtype, copy=False)
         raise AssertionError(f"spaces_of lets no {self.action} through")
 

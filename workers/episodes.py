@@ -1,154 +1,163 @@
-"""One environment of a slot: its episodes one after the other, and how to move it elsewhere."""
+"""The environments of some slots, row by row: their episodes one after the other, their moves.
+
+Shape letters: n rows (environments of all the slots together) · O observation size · A action
+size.
+"""
 
 import logging
-import math
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dppo.config import Config
 from dppo.streams import reset_seed
-from workers.envs import Adapter, Env, Exactness
-from workers.snapshots import Arrays, capture, restore
+from workers.envs import Adapter, Vec, training_vec
+from workers.failures import EnvironmentFailedError, RowFailedError
+from workers.snapshots import Arrays
 
 log = logging.getLogger("worker")
+Float64 = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 
-class EnvironmentFailedError(Exception):
-    """An environment raised, or returned what is not a number; slot, environment, step named."""
+class Row(NamedTuple):
+    """Which environment of which slot a row is."""
+
+    slot: int
+    env: int
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What one step gave."""
+    """What one step gave, [n, ...]."""
 
-    next_obs: NDArray[np.float64]  # [O]  the final observation if the episode ended
-    reward: float
-    terminated: bool
-    truncated: bool
+    next_obs: Float64  # [n, O]  the final observation where an episode ended
+    reward: Float64
+    terminated: Flags
+    truncated: Flags
 
 
-@dataclass(slots=True)
 class Episodes:
-    """One environment, reset with its own seed for every episode."""
+    """n environments, each reset with its own seed for every episode."""
 
-    env: Env
-    adapter: Adapter
-    exact: Exactness
-    seed: int
-    slot: int
-    index: int
-    """Which of the slot's environments this is."""
-    gamma: float
-    episode: int = -1
-    obs: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
-    """[O] s_t, raw."""
-    steps: int = 0
-    """Steps of the present episode so far."""
-    score: float = 0.0
-    """Undiscounted return of the present episode so far."""
-    discounted: float = 0.0
-    """Discounted sum of past rewards of this episode: what rewards are scaled by."""
-    is_exact: bool = True
-    """No move has changed what comes next."""
-    _actions: list[NDArray[np.float32]] = field(default_factory=list)
+    def __init__(self, config: Config, rows: Sequence[Row]) -> None:
+        exact = config.rollout.exact_envs
+        self.vec: Vec = training_vec(config.run, len(rows), remember=exact)
+        self.adapter = Adapter(self.vec.single_observation_space, self.vec.single_action_space)
+        self._rows, self._exact = tuple(rows), exact
+        self._seed, self._gamma = config.run.seed, config.returns.gamma
+        self._moved = np.zeros(len(rows), np.bool_)
+        self.obs: Float64 = np.zeros((len(rows), self.adapter.obs_size))
+        """[n, O] s_t, raw."""
+        self.episode = np.full(len(rows), -1, np.int64)
+        self.steps = np.zeros(len(rows), np.int64)
+        """Steps of the present episodes so far."""
+        self.score = np.zeros(len(rows))
+        """Undiscounted returns of the present episodes so far."""
+        self.discounted = np.zeros(len(rows))
+        """Discounted sums of past rewards of these episodes: what rewards are scaled by."""
 
-    def begin(self) -> None:
-        """Start the next episode."""
-        self.episode += 1
-        self.steps, self.score, self.discounted = 0, 0.0, 0.0
-        self._actions.clear()
-        self._reset()
+    def begin(self, rows: Flags | None = None) -> None:
+        """Start the next episode in these rows, or in all."""
+        mask = np.ones(len(self._rows), np.bool_) if rows is None else rows
+        self.episode[mask] += 1
+        for array in (self.steps, self.score, self.discounted):
+            array[mask] = 0
+        seeds = [self._reset_seed(n) if mask[n] else None for n in range(len(mask))]
+        try:
+            found, _ = self.vec.reset(seed=seeds, options={"reset_mask": mask.copy()})
+        except RowFailedError as error:
+            raise self._failed(error.row, error.what) from error
+        self.obs = np.where(mask[:, None], self._flat(found), self.obs)
+        self._check(self.obs, np.zeros(len(mask)))
 
     def step(self, action: NDArray[np.float32]) -> Step:
-        """One step with [A]; the caller begins the next episode after an end."""
-        if self.exact == "replayed":
-            self._actions.append(action.copy())
+        """One step with [n, A]; the caller begins the next episodes after ends."""
         try:
-            observation, reward, terminated, truncated, _ = self.env.step(
-                self.adapter.to_env(action)
-            )
-            next_obs, reward = self.adapter.obs(observation), float(reward)
-        except Exception as error:  # an environment may raise anything
-            raise self._failed(f"raised {type(error).__name__}: {error}") from error
-        self._check(next_obs, reward)
-        self.obs = next_obs
+            found, reward, terminated, truncated, _ = self.vec.step(self.adapter.to_envs(action))
+        except RowFailedError as error:
+            raise self._failed(error.row, error.what) from error
+        self.obs = self._flat(found)
+        self._check(self.obs, reward)
         self.steps += 1
         self.score += reward
-        self.discounted = self.gamma * self.discounted + reward
-        return Step(next_obs, reward, bool(terminated), bool(truncated))
+        self.discounted = self._gamma * self.discounted + reward
+        return Step(self.obs, reward, terminated, truncated)
 
-    def capture(self) -> Arrays:
-        """Where this environment is, as arrays."""
+    def is_exact(self, row: int) -> bool:
+        """No move has changed what comes next in this row."""
+        return not self._moved[row] and self.vec.is_exact(row)
+
+    def capture(self, row: int) -> Arrays:
+        """Where a row is, as arrays."""
         arrays: Arrays = {
-            "obs": self.obs,
-            "counts": np.array([self.episode, self.steps], np.int64),
-            "sums": np.array([self.score, self.discounted]),
+            "obs": self.obs[row],
+            "counts": np.array([self.episode[row], self.steps[row], self._moved[row]], np.int64),
+            "sums": np.array([self.score[row], self.discounted[row]]),
         }
-        if self.exact == "captured":
-            arrays |= capture(self.env)
-        elif self.exact == "replayed":
-            arrays["actions"] = np.array(self._actions, np.float32)
+        if self._exact:
+            (state,) = self.vec.snapshot([row])
+            arrays |= {f"env.{name}": array for name, array in state.items()}
         return arrays
 
-    def restore(self, arrays: Arrays) -> None:
-        """Go to where `capture` was called; without exact environments, to a new episode."""
-        self.episode, self.steps = (int(count) for count in arrays["counts"])
-        if self.exact == "off":
-            self.is_exact = False
+    def restore(self, states: Sequence[Arrays]) -> None:
+        """All rows to where they were captured; without exact environments, to new episodes."""
+        for row, arrays in enumerate(states):
+            self.episode[row], self.steps[row], self._moved[row] = arrays["counts"]
+            self.score[row], self.discounted[row] = arrays["sums"]
+        if not self._exact:
+            self._moved[:] = True
             self.begin()
             return
-        self.score, self.discounted = (float(value) for value in arrays["sums"])
-        self._reset()
-        if self.exact == "captured":
-            restore(self.env, arrays)
-        else:
-            self._replay(arrays["actions"], arrays["obs"])
-        self.obs = np.asarray(arrays["obs"], np.float64)
-
-    def _replay(self, actions: NDArray[Any], obs: NDArray[Any]) -> None:
-        self._actions = list(actions)
-        reached = self.obs
-        for action in actions:
-            try:
-                reached = self.adapter.obs(self.env.step(self.adapter.to_env(action))[0])
-            except Exception as error:  # an environment may raise anything
-                raise self._failed(f"raised {type(error).__name__}: {error}") from error
-        if not np.array_equal(reached, obs):
-            self.is_exact = False
-            log.warning(
-                "slot %d, environment %d: replaying %d actions ended in another observation; the "
-                "environment is not deterministic, so this run is no longer exact",
-                self.slot,
-                self.index,
-                len(actions),
-            )
-
-    def _reset(self) -> None:
-        seed = reset_seed(self.seed, self.slot, self.index, self.episode)
         try:
-            observation, _ = self.env.reset(seed=seed)
-            self.obs = self.adapter.obs(observation)
-        except Exception as error:  # an environment may raise anything
-            raise self._failed(f"raised {type(error).__name__} in reset: {error}") from error
-        self._check(self.obs, 0.0)
-
-    def _check(self, obs: NDArray[np.float64], reward: float) -> None:
-        """Shape by the space; then one number decides: a sum is finite unless a part is not."""
-        if len(obs) != self.adapter.obs_size:
-            raise self._failed(
-                f"returned {len(obs)} numbers as an observation, its space has "
-                f"{self.adapter.obs_size}"
+            self.vec.restore(
+                [
+                    {name[4:]: array for name, array in arrays.items() if name.startswith("env.")}
+                    for arrays in states
+                ]
             )
-        if not math.isfinite(np.add.reduce(obs) + reward):
-            what = "reward" if not np.isfinite(reward) else f"observation {obs.tolist()}"
-            raise self._failed(f"returned a {what} that is not finite (reward {reward})")
+        except RowFailedError as error:
+            raise self._failed(error.row, error.what) from error
+        self.obs = np.stack([arrays["obs"] for arrays in states]).astype(np.float64)
+        for (slot, env), arrays, exact in zip(
+            self._rows, states, map(self.vec.is_exact, range(len(states))), strict=True
+        ):
+            if not exact:
+                log.warning(
+                    "slot %d, environment %d: replaying %d actions ended in another observation; "
+                    "the environment is not deterministic, so this run is no longer exact",
+                    slot,
+                    env,
+                    len(arrays["env.actions"]),
+                )
 
-    def _failed(self, what: str) -> EnvironmentFailedError:
-        name = self.env.spec.id if self.env.spec else type(self.env).__name__
+    def close(self) -> None:
+        """Close the environments."""
+        self.vec.close()
+
+    def _flat(self, found: NDArray[np.number]) -> Float64:
+        return np.asarray(found, np.float64).reshape(len(self._rows), -1)
+
+    def _check(self, obs: Float64, reward: Float64) -> None:
+        """One number per row decides: a sum is finite unless a part is not."""
+        sums = obs.sum(axis=1) + reward
+        if np.isfinite(sums).all():
+            return
+        row = int(np.flatnonzero(~np.isfinite(sums))[0])
+        what = "reward" if not np.isfinite(reward[row]) else f"observation {obs[row].tolist()}"
+        raise self._failed(row, f"returned a {what} that is not finite (reward {reward[row]})")
+
+    def _reset_seed(self, row: int) -> int:
+        slot, env = self._rows[row]
+        return reset_seed(self._seed, slot, env, int(self.episode[row]))
+
+    def _failed(self, row: int, what: str) -> EnvironmentFailedError:
+        slot, env = self._rows[row]
+        name = self.vec.spec.id if self.vec.spec else type(self.vec).__name__
         return EnvironmentFailedError(
-            f"slot {self.slot}, environment {self.index} ({name}) {what} at step {self.steps} of "
-            f"episode {self.episode} (reset seed "
-            f"{reset_seed(self.seed, self.slot, self.index, self.episode)})"
+            f"slot {slot}, environment {env} ({name}) {what} at step {self.steps[row]} of "
+            f"episode {self.episode[row]} (reset seed {self._reset_seed(row)})"
         )

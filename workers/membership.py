@@ -28,7 +28,7 @@ from dppo.wire.messages import (
     Welcome,
 )
 from workers.envs import env_hash, exactness, make_env, spaces_of
-from workers.episodes import EnvironmentFailedError
+from workers.failures import EnvironmentFailedError
 from workers.numerics import fingerprint, versions
 from workers.worker import OutOfStepError, Worker
 

@@ -1,64 +1,28 @@
-"""The exact state of a MuJoCo environment as named arrays, and back.
+"""Parts of a snapshot: what an environment's future depends on, as named arrays."""
 
-MuJoCo's integration state is not all that a Gymnasium environment reads: rewards and observations
-also use quantities that the last step left behind (the torso's position before the step, contact
-forces, ...). Those are kept beside it; whatever else `mj_step` needs, it computes anew.
-"""
-
-import json
-from typing import Any
-
-import gymnasium
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from workers.envs import Env
-
 Arrays = dict[str, NDArray[np.generic]]
-_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-_LAGGING = (
-    "xpos", "xquat", "xmat", "xipos", "ximat", "geom_xpos", "geom_xmat", "site_xpos", "site_xmat",
-    "subtree_com", "subtree_linvel", "cinert", "cvel", "cacc", "cfrc_ext", "cfrc_int",
-    "qacc", "qfrc_actuator", "qfrc_constraint", "actuator_force", "sensordata",
-)  # fmt: skip
+_WORD = 1 << 64
 
 
-def capture(env: Env) -> Arrays:
-    """Everything the environment's future depends on, besides the actions."""
-    inner = env.unwrapped
-    model, data = inner.model, inner.data  # type: ignore[attr-defined]
-    state = np.empty(mujoco.mj_stateSize(model, _STATE))
-    mujoco.mj_getState(model, data, state, _STATE)
-    generator = json.dumps(inner.np_random.bit_generator.state).encode()
-    return {
-        "mujoco": state,
-        "generator": np.frombuffer(generator, np.uint8),
-        "elapsed": np.array([_time_limit(env)], np.int64),
-        **{name: getattr(data, name).ravel().copy() for name in _LAGGING},
+def generator_state(rng: np.random.Generator) -> NDArray[np.uint64]:
+    """[6] the state of a PCG64 generator, Gymnasium's kind."""
+    state = rng.bit_generator.state
+    numbers = state["state"]
+    words = [word for name in ("state", "inc") for word in divmod(numbers[name], _WORD)]
+    return np.array([*words, state["has_uint32"], state["uinteger"]], np.uint64)
+
+
+def generator_from(words: NDArray[np.generic]) -> np.random.Generator:
+    """The generator of a state."""
+    high, low, inc_high, inc_low, has_uint32, uinteger = (int(word) for word in words)
+    bits = np.random.PCG64()
+    bits.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": high * _WORD + low, "inc": inc_high * _WORD + inc_low},
+        "has_uint32": has_uint32,
+        "uinteger": uinteger,
     }
-
-
-def restore(env: Env, arrays: Arrays) -> None:
-    """Put the environment, which has been reset before, back into a captured state."""
-    inner = env.unwrapped
-    model, data = inner.model, inner.data  # type: ignore[attr-defined]
-    mujoco.mj_setState(model, data, arrays["mujoco"], _STATE)
-    for name in _LAGGING:
-        field = getattr(data, name)
-        field[...] = arrays[name].reshape(field.shape)
-    inner.np_random.bit_generator.state = json.loads(arrays["generator"].tobytes())
-    _time_limit(env, int(arrays["elapsed"][0]))
-
-
-def _time_limit(env: Env, steps: int | None = None) -> int:
-    """Steps the time limit has counted; set them if given. -1 without a time limit."""
-    wrapper: Any = env
-    while not isinstance(wrapper, gymnasium.wrappers.TimeLimit):
-        if not isinstance(wrapper, gymnasium.Wrapper):
-            return -1
-        wrapper = wrapper.env
-    limit: Any = wrapper  # Gymnasium offers no other way than its private counter
-    if steps is not None:
-        limit._elapsed_steps = steps
-    return int(limit._elapsed_steps or 0)
+    return np.random.Generator(bits)

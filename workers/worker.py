@@ -11,7 +11,6 @@
 Waiting, joining and dying are in `membership.py`; this file is the algorithm.
 """
 
-from dataclasses import dataclass
 from itertools import compress
 
 import numpy as np
@@ -19,32 +18,24 @@ from numpy.typing import NDArray
 
 from dppo.config import Config
 from dppo.distributions import distribution_of
+from dppo.experience import Experience
 from dppo.gradients import Minibatch, Sums, block_gradient, slot_kl
 from dppo.losses import AdvantageStatistics, combine
 from dppo.moments import Moments
 from dppo.networks import Networks
 from dppo.normalizer import Statistics
-from dppo.rollout import Experience, prepare
+from dppo.rollout import prepare
 from dppo.spaces import Spaces
 from dppo.sums import aligned_blocks, block_sum, members
 from dppo.wire.links import WorkerLink
 from dppo.wire.messages import Collect, Collected, Gradient, Measure, Measured, Restore, Update
-from workers.slot import Slot
+from workers.slots import Slots
 
 Float32 = NDArray[np.float32]
 
 
 class OutOfStepError(Exception):
     """The learner asks for a slot whose state this worker does not have: join anew."""
-
-
-@dataclass(slots=True)
-class _Lesson:
-    """What one slot learns from in this iteration."""
-
-    experience: Experience
-    advantage: Float32 | None = None
-    """[N] A, once the moments over all slots are known."""
 
 
 class Worker:
@@ -54,8 +45,10 @@ class Worker:
         self._name, self._link, self._config = name, link, config
         self._networks = Networks.build(spaces, config)
         self._distribution = distribution_of(spaces)
-        self._slots: dict[int, Slot] = {}
-        self._lessons: dict[int, _Lesson] = {}
+        self._slots: Slots | None = None
+        self._boundary: dict[int, tuple[int, bytes]] = {}
+        """Of each slot, the iteration it will collect next, and its snapshot."""
+        self._lessons: dict[int, Experience] = {}
         self._collect_task: Collect | None = None
 
     def perform(self, task: Restore | Collect | Update | Measure) -> None:
@@ -77,44 +70,45 @@ class Worker:
 
     def close(self) -> None:
         """Close all environments."""
-        for slot in self._slots.values():
-            slot.close()
+        if self._slots is not None:
+            self._slots.close()
 
     def _restore(self, task: Restore) -> None:
-        self._forget(task.slot)
-        self._slots[task.slot] = Slot.restored(
-            task.slot, self._config, task.iteration, task.snapshot
-        )
+        self._boundary[task.slot] = task.iteration, task.snapshot
 
     def _collect(self, task: Collect) -> None:
         """T steps per slot, V, σ, δ, A_V, A_σ and π_old; moments and snapshot to the chief."""
-        before = self._collect_task
-        if before is None or before.iteration != task.iteration:
-            for other in set(self._slots) - set(task.slots):
-                self._forget(other)
+        slots = self._at_start(task)
+        if self._collect_task is None or self._collect_task.iteration != task.iteration:
+            self._lessons.clear()
+            self._boundary = {
+                index: held for index, held in self._boundary.items() if held[0] >= task.iteration
+            }
         self._collect_task = task
         statistics = Statistics(
             Moments.from_vector(task.obs),
             Moments.from_vector(task.returns),
             Moments.from_vector(task.sigma_target),
         )
-        for index in task.slots:
-            slot = self._slot(index, task.iteration)
-            rollout, facts = slot.collect(
-                self._networks, self._distribution, task.parameters, statistics
-            )
-            experience, kept, critics = prepare(
-                rollout,
-                slot.replay,
-                self._networks,
-                self._distribution,
-                task.parameters,
-                statistics,
-                task.psi,
-                self._config,
-            )
-            slot.replay = kept if self._config.update.critic_replay else None
-            self._lessons[index] = _Lesson(experience)
+        collected = slots.collect(self._networks, self._distribution, task.parameters, statistics)
+        prepared = prepare(
+            [rollout for rollout, _ in collected],
+            [slots.replays.get(index) for index in task.slots],
+            self._networks,
+            self._distribution,
+            task.parameters,
+            statistics,
+            task.psi,
+            self._config,
+        )
+        for index, (_, facts), (experience, kept, critics) in zip(
+            task.slots, collected, prepared, strict=True
+        ):
+            if self._config.update.critic_replay:
+                slots.replays[index] = kept
+            self._lessons[index] = experience
+            snapshot = slots.snapshot(index)
+            self._boundary[index] = slots.iteration, snapshot
             self._link.send(
                 Collected(
                     worker=self._name,
@@ -129,8 +123,8 @@ class Worker:
                     fit=critics.fit.to_vector(),
                     sigma_target=critics.sigma_target.to_vector(),
                     start_sigma=critics.start_sigma.to_vector(),
-                    exact=slot.is_exact,
-                    snapshot=slot.snapshot(),
+                    exact=slots.is_exact(index),
+                    snapshot=snapshot,
                 )
             )
 
@@ -164,15 +158,11 @@ class Worker:
         lessons, minibatches = [], []
         for index in task.slots:
             lesson, collect = self._lesson(index, task.iteration)
-            if lesson.advantage is None:
-                lesson.advantage = combine(
-                    lesson.experience.a_v,
-                    lesson.experience.a_sigma,
-                    collect.psi,
-                    statistics,
-                    self._config.safety,
+            if not lesson.is_complete:
+                lesson.advantage[:] = combine(
+                    lesson.a_v, lesson.a_sigma, collect.psi, statistics, self._config.safety
                 )
-            stored = len(lesson.experience.critic_obs)
+            stored = len(lesson.critics)
             rows = Minibatch.of(self._config, index, task.iteration, task.round - 1, stored)
             if index in task.stopped:
                 rows = Minibatch(policy=None, critics=rows.critics)
@@ -182,8 +172,7 @@ class Worker:
             self._networks,
             self._distribution,
             task.parameters,
-            [lesson.experience for lesson in lessons],
-            [lesson.advantage for lesson in lessons if lesson.advantage is not None],
+            lessons,
             minibatches,
             collect.beta,
             self._config,
@@ -193,7 +182,7 @@ class Worker:
         """KL[π_old|π] over all of a slot's samples, after the last update."""
         for index in task.slots:
             lesson, _ = self._lesson(index, task.iteration)
-            facts = slot_kl(self._networks, self._distribution, task.parameters, lesson.experience)
+            facts = slot_kl(self._networks, self._distribution, task.parameters, lesson)
             self._link.send(
                 Measured(
                     worker=self._name,
@@ -206,24 +195,31 @@ class Worker:
                 )
             )
 
-    def _slot(self, index: int, iteration: int) -> Slot:
-        """The slot, ready to collect `iteration`."""
-        slot = self._slots.get(index)
-        if slot is None and iteration == 0:
-            slot = self._slots[index] = Slot.fresh(index, self._config)
-        if slot is None or slot.iteration != iteration:
-            raise OutOfStepError(f"slot {index} is not at the start of iteration {iteration}")
-        return slot
+    def _at_start(self, task: Collect) -> Slots:
+        """The slots of a task side by side, ready to collect its iteration."""
+        slots = self._slots
+        if slots is not None:
+            if slots.indices == task.slots and slots.iteration == task.iteration:
+                return slots
+            slots.close()
+            self._slots = None
+        if task.iteration == 0:
+            self._slots = Slots.fresh(task.slots, self._config)
+            return self._slots
+        snapshots = []
+        for index in task.slots:
+            iteration, snapshot = self._boundary.get(index, (-1, b""))
+            if iteration != task.iteration:
+                raise OutOfStepError(
+                    f"slot {index} is not at the start of iteration {task.iteration}"
+                )
+            snapshots.append(snapshot)
+        self._slots = Slots.restored(task.slots, self._config, task.iteration, snapshots)
+        return self._slots
 
-    def _lesson(self, index: int, iteration: int) -> tuple[_Lesson, Collect]:
+    def _lesson(self, index: int, iteration: int) -> tuple[Experience, Collect]:
         """What the slot learns from in `iteration`, and the task that collected it."""
         collect = self._collect_task
         if collect is None or collect.iteration != iteration or index not in self._lessons:
             raise OutOfStepError(f"slot {index} has not collected iteration {iteration}")
         return self._lessons[index], collect
-
-    def _forget(self, index: int) -> None:
-        slot = self._slots.pop(index, None)
-        if slot is not None:
-            slot.close()
-        self._lessons.pop(index, None)

@@ -33,7 +33,7 @@ from learner.chief import Chief
 from learner.exchange import Exchange
 from learner.state import State
 from workers.membership import Member
-from workers.slot import Slot
+from workers.slots import Slots
 
 ITERATIONS, SLOTS, ENVS, STEPS, WINDOW, UPDATES = 4, 4, 2, 64, 32, 4
 TRAINED = range(1, ITERATIONS)
@@ -153,7 +153,7 @@ def train(config):
 
 def record(config):
     link, spaces, networks, end = train(config)
-    slots = [Slot.fresh(index, config) for index in range(SLOTS)]
+    slots = Slots.fresh(range(SLOTS), config)
     iterations = []
     for number in range(ITERATIONS):
         asked, answered = (
@@ -176,15 +176,12 @@ def record(config):
             )
         )
         # collecting is a function of (seed, slot, iteration): the same steps as the worker's
-        iterations[-1].rollouts += [
-            slot.collect(
-                networks,
-                distribution_of(spaces),
-                collect.parameters,
-                iterations[-1].statistics,
-            )[0]
-            for slot in slots
-        ]
-    for slot in slots:
-        slot.close()
+        collected = slots.collect(
+            networks,
+            distribution_of(spaces),
+            collect.parameters,
+            iterations[-1].statistics,
+        )
+        iterations[-1].rollouts += [rollout for rollout, _ in collected]
+    slots.close()
     return Run(config, spaces, networks, iterations, end)

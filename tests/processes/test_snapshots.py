@@ -13,9 +13,10 @@ from dppo.distributions import distribution_of
 from dppo.networks import Networks
 from dppo.normalizer import Statistics
 from dppo.rollout import Replay
-from workers.envs import Adapter, exactness, make_env, quiet, spaces_of
-from workers.episodes import EnvironmentFailedError, Episodes
-from workers.slot import Slot
+from workers.envs import exactness, make_env, quiet, spaces_of
+from workers.episodes import Episodes, Row
+from workers.failures import EnvironmentFailedError
+from workers.slots import Slots
 
 MUJOCO = [
     ("Hopper-v5", {}), ("Ant-v4", {}), ("Ant-v4", {"use_contact_forces": True}), ("Ant-v5", {}),
@@ -31,18 +32,19 @@ def _quiet():
 
 
 def episodes(env_id, exact=True, slot=0, **kwargs):
-    env = make_env(RunConfig(env=env_id, env_kwargs=json.dumps(kwargs)))
-    adapter = Adapter(env.observation_space, env.action_space)
-    return Episodes(env, adapter, exactness(env, exact), 5, slot, 1, 0.99)
+    """The second environment of a slot, alone."""
+    run = RunConfig(env=env_id, env_kwargs=json.dumps(kwargs), seed=5)
+    rollout = RolloutConfig(slots=8, exact_envs=exact)
+    return Episodes(Config(run=run, rollout=rollout), [Row(slot, 1)])
 
 
 def actions_for(environment, count, seed=0):
-    """Random actions, some beyond the bounds."""
+    """Random actions, some beyond the bounds: [count, 1, A]."""
     rng = np.random.default_rng(seed)
-    space = environment.env.action_space
+    space = environment.vec.single_action_space
     if isinstance(space, gymnasium.spaces.Box):
-        return rng.standard_normal((count, *space.shape)).astype(np.float32)
-    return rng.integers(space.n, size=(count, 1)).astype(np.float32)
+        return rng.standard_normal((count, 1, *space.shape)).astype(np.float32)
+    return rng.integers(space.n, size=(count, 1, 1)).astype(np.float32)
 
 
 def run(environment, actions):
@@ -50,12 +52,12 @@ def run(environment, actions):
     trace = []
     for action in actions:
         step = environment.step(action)
-        if step.terminated or step.truncated:
+        if step.terminated[0] or step.truncated[0]:
             environment.begin()
         trace.append((
-            step.next_obs.tobytes(), step.reward, step.terminated, step.truncated,
-            environment.obs.tobytes(), environment.episode, environment.steps,
-            environment.score, environment.discounted,
+            step.next_obs.tobytes(), step.reward[0], bool(step.terminated[0]),
+            bool(step.truncated[0]), environment.obs.tobytes(), int(environment.episode[0]),
+            int(environment.steps[0]), environment.score[0], environment.discounted[0],
         ))  # fmt: skip
     return trace
 
@@ -76,14 +78,14 @@ def test_a_moved_environment_goes_on_to_the_bit(env_id, kwargs):
     for start, stop in pairwise((0, 35, 97, 150, 210)):
         trace += run(here, actions[start:stop])
         there = episodes(env_id, max_episode_steps=LIMIT, **kwargs)
-        there.restore(as_sent(here.capture()))
+        there.restore([as_sent(here.capture(0))])
         here_next = episodes(env_id, max_episode_steps=LIMIT, **kwargs)
-        here_next.restore(as_sent(there.capture()))  # moved on once more
+        here_next.restore([as_sent(there.capture(0))])  # moved on once more
         moved = run(there, actions[stop : stop + 50])
         assert run(here_next, actions[stop : stop + 50]) == moved
-        ahead = as_sent(here.capture())
+        ahead = as_sent(here.capture(0))
         assert run(here, actions[stop : stop + 50]) == moved, f"differs when moved at step {stop}"
-        here.restore(ahead)
+        here.restore([ahead])
     ends = [step[2] or step[3] for step in trace]
     assert 1 <= sum(ends) < len(ends), "the test wants several episodes"
 
@@ -93,7 +95,7 @@ def test_the_time_limit_moves_along():
     here.begin()
     run(here, actions_for(here, LIMIT - 5))
     there = episodes("HalfCheetah-v4", max_episode_steps=LIMIT)
-    there.restore(here.capture())
+    there.restore([here.capture(0)])
     truncated = [step[3] for step in run(there, actions_for(there, 7))]
     assert truncated == [False] * 4 + [True] + [False] * 2
 
@@ -101,9 +103,9 @@ def test_the_time_limit_moves_along():
 def test_the_generator_of_the_environment_moves_along():
     here, there = episodes("Hopper-v5"), episodes("Hopper-v5")
     here.begin()
-    here.env.unwrapped.np_random.random(3)
-    there.restore(here.capture())
-    assert there.env.unwrapped.np_random.random() == here.env.unwrapped.np_random.random()
+    here.vec._generator(0).random(3)
+    there.restore([here.capture(0)])
+    assert there.vec._generator(0).random() == here.vec._generator(0).random()
 
 
 @pytest.mark.parametrize("steps", [0, 1])
@@ -112,7 +114,7 @@ def test_a_capture_at_the_start_of_an_episode_moves_too(steps):
         here, there = episodes(env_id), episodes(env_id)
         here.begin()
         run(here, actions_for(here, steps))
-        there.restore(as_sent(here.capture()))
+        there.restore([as_sent(here.capture(0))])
         actions = actions_for(here, 40, seed=1)
         assert run(there, actions) == run(here, actions)
 
@@ -121,7 +123,7 @@ def test_a_capture_is_not_changed_by_what_happens_later():
     here = episodes("Hopper-v5")
     here.begin()
     run(here, actions_for(here, 10))
-    captured = here.capture()
+    captured = here.capture(0)
     before = as_sent(captured)
     run(here, actions_for(here, 30))
     assert all(captured[name].tobytes() == before[name].tobytes() for name in before)
@@ -140,8 +142,8 @@ def test_without_exact_environments_a_moved_one_begins_a_new_episode(caplog):
     here, there = episodes("Hopper-v5", exact=False), episodes("Hopper-v5", exact=False)
     here.begin()
     run(here, actions_for(here, 5))
-    there.restore(here.capture())
-    assert (there.episode, there.steps, there.score) == (here.episode + 1, 0, 0.0)
+    there.restore([here.capture(0)])
+    assert (there.episode[0], there.steps[0], there.score[0]) == (here.episode[0] + 1, 0, 0.0)
     here.begin()
     assert there.obs.tobytes() == here.obs.tobytes()
     assert not caplog.records
@@ -162,8 +164,10 @@ def collector(config):
     parameters = networks.initial(config)
     statistics = Statistics.empty(sizes.obs_size)
 
-    def collect(slot):
-        rollout, facts = slot.collect(networks, distribution_of(sizes), parameters, statistics)
+    def collect(slots):
+        ((rollout, facts),) = slots.collect(
+            networks, distribution_of(sizes), parameters, statistics
+        )
         vectors = (rollout.obs, rollout.next_obs, rollout.action, rollout.reward, rollout.ended,
                    rollout.terminated, rollout.starts, facts.obs.to_vector(),
                    facts.returns.to_vector(), facts.episodes)  # fmt: skip
@@ -177,18 +181,18 @@ def collector(config):
 def test_a_restored_slot_collects_the_same_bits(env, time_limit):
     settings = config(env, time_limit=time_limit)
     collect = collector(settings)
-    here = Slot.fresh(1, settings)
+    here = Slots.fresh([1], settings)
     collect(here)
     rng = np.random.default_rng(0)
-    here.replay = Replay(
+    here.replays[1] = Replay(
         obs=rng.standard_normal((64, 3)).astype(np.float32),
         v_target=rng.standard_normal(64), sigma_target=rng.standard_normal(64),
     )  # fmt: skip
-    there = Slot.restored(1, settings, here.iteration, here.snapshot())
-    assert there.snapshot() == here.snapshot()
+    there = Slots.restored([1], settings, here.iteration, [here.snapshot(1)])
+    assert there.snapshot(1) == here.snapshot(1)
     for name in ("obs", "v_target", "sigma_target"):
-        replayed = getattr(there.replay, name)
-        assert replayed.tobytes() == getattr(here.replay, name).tobytes()
+        replayed = getattr(there.replays[1], name)
+        assert replayed.tobytes() == getattr(here.replays[1], name).tobytes()
     for _ in range(2):
         assert collect(there) == collect(here)
     assert there.iteration == here.iteration == 3
@@ -199,7 +203,7 @@ def test_a_restored_slot_collects_the_same_bits(env, time_limit):
 def test_slots_differ_in_everything_and_a_fresh_slot_repeats_itself():
     settings = config("Hopper-v5")
     collect = collector(settings)
-    one, again, other = (collect(Slot.fresh(index, settings)) for index in (0, 0, 1))
+    one, again, other = (collect(Slots.fresh([index], settings)) for index in (0, 0, 1))
     assert one == again
     assert one[0] != other[0]
     assert one[2] != other[2]
@@ -249,7 +253,7 @@ def test_only_a_moody_environment_is_reported_as_no_longer_exact(caplog, trouble
     here.begin()
     run(here, actions_for(here, 3))
     with caplog.at_level(logging.WARNING, "worker"):
-        there.restore(as_sent(here.capture()))
+        there.restore([as_sent(here.capture(0))])
     assert there.obs.tobytes() == here.obs.tobytes()  # what the policy saw is kept in any case
     sentence = "slot 4, environment 1: replaying 3 actions ended in another observation"
     assert (sentence in caplog.text) == (trouble == "mood")
@@ -292,4 +296,4 @@ def test_a_failure_while_replaying_is_named_as_well():
     run(here, actions_for(here, 5))
     there = episodes("Moody-v0", trouble="raise")
     with pytest.raises(EnvironmentFailedError, match=r"environment 1 .*raised ValueError: boom"):
-        there.restore(here.capture())
+        there.restore([here.capture(0)])

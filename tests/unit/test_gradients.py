@@ -15,9 +15,9 @@ from dppo.config import (
     SafetyConfig,
 )
 from dppo.distributions import distribution_of
+from dppo.experience import Experience, critics_table
 from dppo.gradients import Minibatch, Sums, block_gradient, slot_kl
 from dppo.networks import Networks
-from dppo.rollout import Experience
 from dppo.spaces import Spaces
 
 BOX = Spaces(obs_size=3, action_kind="box", action_sizes=(2,))
@@ -48,6 +48,8 @@ class Block:
         self.new = self.old + (0.1 * rng.normal(size=size)).astype(np.float32)
         self.experiences = [self._experience(rng, samples, replayed) for _ in range(slots)]
         self.advantages = [rng.normal(size=samples).astype(np.float32) for _ in range(slots)]
+        for experience, advantage in zip(self.experiences, self.advantages, strict=True):
+            experience.advantage[:] = advantage
 
     def _experience(self, rng, samples, replayed):
         def draw(*shape):
@@ -58,7 +60,9 @@ class Block:
         output, _ = self.networks.policy.forward(policy, obs)
         noise = self.distribution.noise(rng, (samples,))
         action = self.distribution.sample(output, log_std, noise)
-        return Experience(
+        targets = (draw(stored), np.square(draw(stored)))
+        seen = np.concatenate([obs, draw(stored - samples, self.spaces.obs_size)])
+        return Experience.of(
             obs=obs,
             action=action,
             output_old=output,
@@ -66,9 +70,7 @@ class Block:
             log_prob_old=self.distribution.log_prob(output, log_std, action),
             a_v=np.zeros(samples),
             a_sigma=np.zeros(samples),
-            v_target=draw(stored),
-            sigma_target=np.square(draw(stored)),
-            critic_obs=np.concatenate([obs, draw(stored - samples, self.spaces.obs_size)]),
+            critics=critics_table(seen, *targets),
         )
 
     def gradient(self, slots, minibatches, config=None):
@@ -77,7 +79,6 @@ class Block:
             self.distribution,
             self.new,
             [self.experiences[slot] for slot in slots],
-            [self.advantages[slot] for slot in slots],
             minibatches,
             BETA,
             config or self.config,
@@ -112,32 +113,31 @@ def _policies(block, output, log_std):
 def _torch_loss(block, slot, rows, parameters):
     """-J + L_V + L_sigma of one slot as means, in float64, and what `Sums` says of it."""
     experience, networks, kl = block.experiences[slot], block.networks, block.config.kl
+    table, seen_by = experience.policy[rows.policy], experience.critics[rows.critics]
+    columns = experience.columns
+    v_target, sigma_target = columns.targets(seen_by, 2)
     layers, log_std = networks.split_policy(parameters)
-    old = _policies(
-        block, _double(experience.output_old[rows.policy]), _double(experience.log_std_old)
-    )
-    new = _policies(
-        block, _forward(networks.policy, layers, _double(experience.obs[rows.policy])), log_std
-    )
-    action = _double(experience.action[rows.policy])
-    columns = [action] if block.spaces.action_kind == "box" else action.unbind(dim=-1)
-    pairs = list(zip(new, columns, strict=True))
+    old = _policies(block, _double(columns.output_old(table)), _double(experience.log_std_old))
+    new = _policies(block, _forward(networks.policy, layers, _double(columns.obs(table))), log_std)
+    action = _double(columns.action(table))
+    parts = [action] if block.spaces.action_kind == "box" else action.unbind(dim=-1)
+    pairs = list(zip(new, parts, strict=True))
     log_prob = torch.stack([policy.log_prob(column) for policy, column in pairs]).sum(0)
-    ratio = torch.exp(log_prob - _double(experience.log_prob_old[rows.policy]))
+    ratio = torch.exp(log_prob - _double(columns.log_prob_old(table)))
     divergence = torch.stack(
         [kl_divergence(p, q) for p, q in zip(old, new, strict=True)]
     ).sum(0).mean()  # fmt: skip
     excess = torch.clamp(divergence - 2 * kl.kl_target, min=0)
-    gain = (ratio * _double(block.advantages[slot][rows.policy])).mean()
+    gain = (ratio * _double(columns.advantage(table))).mean()
     objective = gain - BETA * divergence - kl.hinge_coef * excess**2
 
-    seen = _double(experience.critic_obs[rows.critics])
+    seen = _double(columns.obs(seen_by))
     value = _forward(networks.value, parameters[networks.parts["value"]], seen)[:, 0]
-    value_loss = ((value - _double(experience.v_target[rows.critics])) ** 2).mean()
+    value_loss = ((value - _double(v_target)) ** 2).mean()
     sigma = _forward(networks.variance, parameters[networks.parts["variance"]], seen)[:, 0]
     if block.config.safety.sigma_head == "softplus":
         sigma = torch.nn.functional.softplus(sigma)
-    variance_loss = ((sigma - _double(experience.sigma_target[rows.critics])) ** 2).mean()
+    variance_loss = ((sigma - _double(sigma_target)) ** 2).mean()
     return divergence, objective, value_loss, variance_loss
 
 
@@ -203,7 +203,6 @@ def test_policy_and_value_have_the_same_bits_with_and_without_a_variance_network
         block.distribution,
         block.new[: without.size],
         block.experiences,
-        block.advantages,
         batches,
         BETA,
         _config(HINGE, critic=False),

@@ -17,7 +17,17 @@ from dppo.losses import (
 )
 
 KL = KlConfig(kl_target=0.25, hinge_coef=8.0)
-GAIN = np.array([2, -1], np.float32)  # mean 1/2
+GAIN = np.array([[2, -1]], np.float32)  # of one set of samples, mean 1/2
+
+
+def _one(kl):
+    return np.array([kl])
+
+
+def test_sets_of_samples_do_not_mix():
+    gains, kls = np.array([[2, -1], [0, 4]], np.float32), np.array([0.5, 0.75])
+    assert policy_objective(gains, kls, 3.0, KL).tolist() == [-1.0, 2 - 2.25 - 0.5]
+    assert kl_weight(kls, 3.0, KL).tolist() == [3.0, 7.0]
 
 
 def _statistics(slots, psi):
@@ -29,24 +39,24 @@ def _statistics(slots, psi):
 
 
 def test_the_hinge_is_still_below_twice_the_target():
-    assert kl_weight(0.5, 3.0, KL) == 3.0
+    assert kl_weight(_one(0.5), 3.0, KL) == 3.0
     # mean gain 1/2, minus 3 * 0.5
-    assert policy_objective(GAIN, 0.5, 3.0, KL) == 0.5 - 1.5
+    assert policy_objective(GAIN, _one(0.5), 3.0, KL) == 0.5 - 1.5
 
 
 def test_the_hinge_adds_its_slope_above_twice_the_target():
     # beta + 2 xi (KL - 2 target) = 3 + 16 * 0.25
-    assert kl_weight(0.75, 3.0, KL) == 7.0
+    assert kl_weight(_one(0.75), 3.0, KL) == 7.0
     # 1/2 - 3 * 0.75 - 8 * 0.25²
-    assert policy_objective(GAIN, 0.75, 3.0, KL) == 0.5 - 2.25 - 0.5
+    assert policy_objective(GAIN, _one(0.75), 3.0, KL) == 0.5 - 2.25 - 0.5
 
 
 def test_kl_weight_is_minus_the_slope_of_the_objective():
     for kl in (0.1, 0.7):
-        rise = policy_objective(GAIN, kl + 0.01, 3.0, KL) - policy_objective(
-            GAIN, kl - 0.01, 3.0, KL
+        rise = policy_objective(GAIN, _one(kl + 0.01), 3.0, KL) - policy_objective(
+            GAIN, _one(kl - 0.01), 3.0, KL
         )  # J is quadratic in KL on both sides: the central difference is exact
-        assert kl_weight(kl, 3.0, KL) == pytest.approx(-rise / 0.02, rel=1e-12)
+        assert kl_weight(_one(kl), 3.0, KL) == pytest.approx(-rise / 0.02, rel=1e-12)
 
 
 # Two slots: A_V = 0, 0 and 2, 2 has mean 1 and std 1; A_sigma = 0, 8 and 0, 8 mean 4 and std 4.

@@ -1,0 +1,13 @@
+"""How an environment fails, from the row of a vector up to the slot."""
+
+
+class RowFailedError(Exception):
+    """A row of a vector environment raised, or returned what does not fit."""
+
+    def __init__(self, row: int, what: str) -> None:
+        super().__init__(f"environment {row} {what}")
+        self.row, self.what = row, what
+
+
+class EnvironmentFailedError(Exception):
+    """An environment raised, or returned what is not a number; slot, environment, step named."""

@@ -1,0 +1,83 @@
+"""What a kind of environment is.
+
+Shape letters: n environments · O observation size · A action size.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[Any]
+Float64 = NDArray[np.float64]
+State = Mapping[str, Float64]
+"""Fields of MjData by name, [n, ...]."""
+Field = Callable[[mujoco.MjData], Float64]
+"""A view into one MjData."""
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What one step was worth."""
+
+    reward: Array  # [n]
+    terminated: NDArray[np.bool_]  # [n]
+    info: dict[str, Array] = field(default_factory=dict)
+    """What Gymnasium's `info` holds, each [n, ...]."""
+
+
+class Kind:
+    """One Gymnasium class."""
+
+    forces = False
+    """Reads what only mj_rnePostConstraint computes: contact forces."""
+
+    def __init__(self, env: Any) -> None:  # noqa: ANN401  weights are private attributes
+        """`env`: an unwrapped instance of the Gymnasium class."""
+        self.env = env
+        self.dt: float = env.dt
+
+    def fields(self) -> dict[str, Field]:
+        """What to copy out of MjData after each step."""
+        return {"qpos": lambda data: data.qpos, "qvel": lambda data: data.qvel}
+
+    def observe(self, now: State) -> Float64:
+        """[n, O] observations."""
+        raise NotImplementedError
+
+    def judge(self, before: State, now: State, action: Array) -> Judgement:
+        """Rewards and ends of a step from `before` to `now` with actions [n, A]."""
+        raise NotImplementedError
+
+
+def body(env: Any, name: str | int) -> Field:  # noqa: ANN401  as in Kind
+    """Position of a body's frame [3]."""
+    number = int(env.data.body(name).id)
+    return lambda data: data.xpos[number]
+
+
+def norm(vectors: Float64) -> Float64:
+    """[n] Euclidean lengths of [n, k], with the bits of np.linalg.norm row by row."""
+    rows = np.ascontiguousarray(vectors)
+    length: Float64 = np.sqrt(np.vecdot(rows, rows))
+    return length
+
+
+def square_sum(values: Array) -> Array:
+    """[n] sums of squares over all other axes, with the bits of a sum row by row."""
+    total: Array = np.square(values).reshape(len(values), -1).sum(axis=1)
+    return total
+
+
+def clipped(values: Float64, low: float, high: float) -> Float64:
+    """np.clip without its overhead."""
+    result: Float64 = np.minimum(np.maximum(values, low), high)
+    return result
+
+
+def never(action: Array) -> NDArray[np.bool_]:
+    """[n] no episode terminates."""
+    return np.zeros(len(action), np.bool_)

@@ -1,0 +1,233 @@
+"""Gymnasium's MuJoCo environments, n at a time in one process, bit by bit the same.
+
+Physics runs one environment after the other; observations, rewards and ends of all of them are
+computed at once (`workers.kinds`). A reset is Gymnasium's own code, on the row's MjData.
+
+Shape letters: n environments · O observation size · A action size.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from workers.kinds.kind import Float64, Judgement, Kind
+from workers.physics import tuned, without_timer
+from workers.snapshots import Arrays, generator_from, generator_state
+
+Flags = NDArray[np.bool_]
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+
+
+class MujocoVec(VectorEnv[Any, Any, Any]):
+    """n environments of one kind; see `workers.envs.make_vec`."""
+
+    def __init__(
+        self,
+        template: gymnasium.Env[Any, Any],
+        kind: Kind,
+        num_envs: int,
+        autoreset_mode: AutoresetMode,
+        infos: bool,
+    ) -> None:
+        """`template` makes the resets; its model is replaced by one that steps sooner."""
+        self.num_envs, self.spec, self._template = num_envs, template.spec, template
+        self.metadata = {**template.metadata, "autoreset_mode": autoreset_mode}
+        self.single_observation_space = template.observation_space
+        self.single_action_space = template.action_space
+        self.observation_space = batch_space(template.observation_space, num_envs)
+        self.action_space = batch_space(template.action_space, num_envs)
+        self._kind, self._env, self._infos = kind, kind.env, infos
+        self._mode = autoreset_mode
+        self._limit = getattr(template.spec, "max_episode_steps", None) or np.inf
+        self._model = self._env.model = tuned(self._env.fullpath, self._env.model)
+        self._data = [mujoco.MjData(self._model) for _ in range(num_envs)]
+        self._rngs: list[np.random.Generator | None] = [None] * num_envs
+        self._elapsed = np.zeros(num_envs, np.int64)
+        self._ended = np.zeros(num_envs, np.bool_)
+        self._ctrl = [data.ctrl for data in self._data]
+        self._views = {
+            name: [view(data).reshape(-1) for data in self._data]
+            for name, view in kind.fields().items()
+        }
+        shapes = {name: view(self._data[0]).shape for name, view in kind.fields().items()}
+        self._now = {name: np.zeros((num_envs, *shape)) for name, shape in shapes.items()}
+        self._before = {name: array.copy() for name, array in self._now.items()}
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Float64, dict[str, Any]]:
+        """Begin new episodes, in the rows of `options["reset_mask"]` [n] if it is given.
+
+        Args:
+            seed: one per row, or the first one's; None goes on with a row's own generator.
+            options: `reset_mask` only; Gymnasium's MuJoCo environments have no others.
+        """
+        seeds = seeds_of(seed, self.num_envs)
+        mask = (options or {}).get("reset_mask", np.ones(self.num_envs, np.bool_))
+        infos: dict[str, Any] = {}
+        for row in _numbers(mask):
+            info = self._begin(row, seeds[row])
+            if self._infos:
+                infos = self._add_info(infos, info, row)
+        return self._kind.observe(self._now), infos
+
+    def step(self, actions: NDArray[Any]) -> tuple[Float64, Float64, Flags, Flags, dict[str, Any]]:
+        """One step of every row with actions [n, A], which MuJoCo clips at its control range.
+
+        Rows whose episode has ended begin anew as `autoreset_mode` says.
+        """
+        resting = self._ended if self._mode is AutoresetMode.NEXT_STEP else None
+        if resting is not None and resting.any():
+            return self._step_some(actions, ~resting)
+        judged, truncated = self._advance(actions, None)
+        obs, infos = self._kind.observe(self._now), self._info(judged.info, None)
+        self._ended = judged.terminated | truncated
+        if self._mode is AutoresetMode.SAME_STEP and self._ended.any():
+            infos = self._end(obs, judged.info)
+            obs = self._kind.observe(self._now)
+        reward = judged.reward.astype(np.float64, copy=False)
+        return obs, reward, judged.terminated, truncated, infos
+
+    def snapshot(self, rows: Sequence[int] | None = None) -> list[Arrays]:
+        """Everything that the future of each row depends on, besides its actions."""
+        snapshots = []
+        for row in range(self.num_envs) if rows is None else rows:
+            state = np.empty(mujoco.mj_stateSize(self._model, _STATE))
+            mujoco.mj_getState(self._model, self._data[row], state, _STATE)
+            arrays: Arrays = {
+                "mujoco": state,
+                "counts": np.array([self._elapsed[row], self._ended[row]], np.int64),
+                "generator": generator_state(self._generator(row)),
+            }
+            # what the last step left behind, such as positions before it: rewards read it
+            arrays |= {name: array[row].copy() for name, array in self._now.items()}
+            snapshots.append(arrays)
+        return snapshots
+
+    def restore(self, snapshots: Sequence[Arrays], rows: Sequence[int] | None = None) -> None:
+        """Put rows where `snapshot` was taken, here or elsewhere."""
+        numbers = range(self.num_envs) if rows is None else rows
+        for row, arrays in zip(numbers, snapshots, strict=True):
+            data = self._data[row]
+            mujoco.mj_resetData(self._model, data)
+            mujoco.mj_setState(self._model, data, arrays["mujoco"], _STATE)
+            self._rngs[row] = generator_from(arrays["generator"])
+            self._elapsed[row], self._ended[row] = arrays["counts"]
+            for name, array in self._now.items():
+                array[row] = arrays[name].reshape(array.shape[1:])
+
+    def is_exact(self, row: int) -> bool:
+        """No move has changed what comes next in this row."""
+        del row
+        return True
+
+    def close_extras(self, **kwargs: Any) -> None:  # noqa: ANN401  the signature of VectorEnv
+        """Close the template."""
+        del kwargs
+        self._template.close()
+
+    def _advance(self, actions: NDArray[Any], active: Flags | None) -> tuple[Judgement, Flags]:
+        """Physics of the active rows (None: all), then what the step was worth."""
+        model, frames, forces = self._model, self._env.frame_skip, self._kind.forces
+        step, finish = mujoco.mj_step, mujoco.mj_rnePostConstraint
+        with without_timer():
+            for row, (data, ctrl) in enumerate(zip(self._data, self._ctrl, strict=True)):
+                if active is None or active[row]:
+                    ctrl[:] = actions[row]
+                    step(model, data, frames)
+                    if forces:
+                        finish(model, data)
+        self._gather()
+        self._elapsed += 1 if active is None else active
+        return self._kind.judge(self._before, self._now, actions), self._elapsed >= self._limit
+
+    def _gather(self) -> None:
+        self._before, self._now = self._now, self._before
+        for name, views in self._views.items():
+            np.concatenate(views, out=self._now[name].reshape(-1))
+
+    def _begin(self, row: int, seed: int | None) -> dict[str, Any]:
+        """Gymnasium's reset of one row; its info."""
+        env, data = self._env, self._data[row]
+        if seed is not None:
+            self._rngs[row], _ = seeding.np_random(seed)
+        env.data, env.np_random = data, self._generator(row)
+        mujoco.mj_resetData(self._model, data)
+        env.reset_model()
+        self._elapsed[row], self._ended[row] = 0, False
+        for name, views in self._views.items():
+            self._now[name][row] = views[row].reshape(self._now[name].shape[1:])
+        info: dict[str, Any] = env._get_reset_info()
+        return info
+
+    def _generator(self, row: int) -> np.random.Generator:
+        rng = self._rngs[row]
+        if rng is None:
+            rng, _ = seeding.np_random()
+            self._rngs[row] = rng
+        return rng
+
+    def _step_some(
+        self, actions: NDArray[Any], active: Flags
+    ) -> tuple[Float64, Float64, Flags, Flags, dict[str, Any]]:
+        """NEXT_STEP: the rows that have ended begin anew instead of stepping, with reward 0."""
+        judged, truncated = self._advance(actions, active)
+        infos = self._info(judged.info, active)
+        for row in _numbers(~active):
+            info = self._begin(row, None)
+            if self._infos:
+                infos = self._add_info(infos, info, row)
+        terminated, truncated = judged.terminated & active, truncated & active
+        self._ended = terminated | truncated
+        obs = self._kind.observe(self._now)
+        return obs, np.where(active, judged.reward, 0.0), terminated, truncated, infos
+
+    def _end(self, obs: Float64, info: dict[str, Any]) -> dict[str, Any]:
+        """SAME_STEP: rows that have ended begin anew; the infos, with the final ones."""
+        ended, rows = self._ended, _numbers(self._ended)
+        finals = [{name: values[row].copy() for name, values in info.items()} for row in rows]
+        infos = self._info(info, ~ended)
+        for row, final in zip(rows, finals, strict=True):
+            facts = {"final_obs": obs[row].copy(), "final_info": final, **self._begin(row, None)}
+            infos = self._add_info(infos, facts, row)
+        return infos
+
+    def _info(self, info: dict[str, Any], active: Flags | None) -> dict[str, Any]:
+        """Arrays and their masks, as VectorEnv gives them."""
+        if not self._infos or (active is not None and not active.any()):
+            return {}
+        mask = np.ones(self.num_envs, np.bool_) if active is None else active
+        infos: dict[str, Any] = {}
+        for name, values in info.items():
+            if active is not None:
+                values[~active] = 0
+            infos |= {name: values, f"_{name}": mask.copy()}
+        return infos
+
+
+def _numbers(mask: Flags) -> list[int]:
+    """The rows of a mask."""
+    return [int(row) for row in np.flatnonzero(mask)]
+
+
+def seeds_of(seed: int | Sequence[int | None] | None, num_envs: int) -> list[int | None]:
+    """One seed per row, as Gymnasium spreads them.
+
+    Raises:
+        ValueError: a list of another length.
+    """
+    if seed is None or isinstance(seed, int):
+        return [None if seed is None else seed + row for row in range(num_envs)]
+    if len(seed) != num_envs:
+        raise ValueError(f"{len(seed)} seeds for {num_envs} environments; give one for each")
+    return list(seed)

@@ -1,0 +1,155 @@
+"""MuJoCo's physics with everything left out that cannot change a bit.
+
+Three things, each proven with trajectories (`tests/processes/test_batched_bits.py`) and measured
+(`docs/performance.md`):
+
+- no timer: the bindings install a clock that is read several times per step;
+- no islands: in a model of one kinematic tree there is nothing to find;
+- explicit contact pairs: the pairs that the broad phase could find, with the parameters that the
+  engine would mix, in the order in which it would look at them.
+
+`tuned` compares a short trajectory before it trusts a model that it has changed, so an unknown XML
+or another MuJoCo falls back to the model as it was written.
+"""
+
+import contextlib
+import ctypes
+import logging
+import warnings
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+log = logging.getLogger("worker")
+_MOST_PAIRS = 64
+"""Above this many pairs the broad phase is the faster way (Humanoid has 126)."""
+_CHECKED_STEPS = 100
+
+
+@contextlib.contextmanager
+def without_timer() -> Iterator[None]:
+    """Step without reading a clock; MuJoCo's own timers stay empty meanwhile.
+
+    The bindings' clock is a C global, and `set_mjcb_time(None)` only puts the default clock back.
+    """
+    timer = _timer()
+    if timer is None:
+        yield
+        return
+    slot, clock = timer
+    slot.value = None
+    try:
+        yield
+    finally:
+        slot.value = clock
+
+
+@cache
+def _timer() -> tuple[ctypes.c_void_p, int | None] | None:
+    """The global `mjcb_time` and what was in it; None where the library does not show it."""
+    for path in sorted(Path(mujoco.__file__).parent.glob("libmujoco*")):
+        with contextlib.suppress(OSError, ValueError):
+            slot = ctypes.c_void_p.in_dll(ctypes.CDLL(str(path)), "mjcb_time")
+            return slot, slot.value
+    return None
+
+
+def tuned(path: str, plain: mujoco.MjModel) -> mujoco.MjModel:
+    """A model that steps like `plain`, compiled from the same file, only sooner.
+
+    Args:
+        path: of the model's XML.
+        plain: the model as written; returned if no change to it keeps the bits.
+    """
+    pairs = contact_pairs(plain)
+    if pairs is None or len(pairs) > _MOST_PAIRS:
+        model = mujoco.MjModel.from_xml_path(path)
+    else:
+        model = _with_pairs(path, plain, pairs)
+    if plain.ntree <= 1:
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
+    if _steps_alike(plain, model):
+        return model
+    log.warning("%s keeps its bits only as it is written: stepping it untuned", path)
+    return plain
+
+
+def contact_pairs(model: mujoco.MjModel) -> list[tuple[int, int]] | None:
+    """The pairs of geoms that may touch, in the engine's order; None: not expressible as pairs."""
+    if model.npair or model.nflex or model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
+        return None
+    return [
+        (first, second)
+        for one in range(model.nbody)
+        for other in range(one + 1, model.nbody)
+        if _bodies_meet(model, one, other)
+        for first in _geoms(model, one)
+        for second in _geoms(model, other)
+        if (model.geom_contype[first] & model.geom_conaffinity[second])
+        or (model.geom_contype[second] & model.geom_conaffinity[first])
+    ]
+
+
+def _geoms(model: mujoco.MjModel, body: int) -> range:
+    first = int(model.body_geomadr[body])
+    return range(first, first + int(model.body_geomnum[body]))
+
+
+def _bodies_meet(model: mujoco.MjModel, one: int, other: int) -> bool:
+    """May geoms of two bodies touch? Not within a rigid part, nor a part and its parent."""
+    part, second = model.body_weldid[one], model.body_weldid[other]
+    if part == second or (one << 16) + other in model.exclude_signature:
+        return False
+    if part == 0 or model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
+        return True
+    parent, its_parent = (model.body_weldid[model.body_parentid[p]] for p in (part, second))
+    return bool(part != its_parent and second != parent)
+
+
+def _with_pairs(path: str, plain: mujoco.MjModel, pairs: list[tuple[int, int]]) -> mujoco.MjModel:
+    """The model with explicit pairs instead of geoms that look for each other."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # what the XML is told was told when `plain` was loaded
+        spec = mujoco.MjSpec.from_file(path)
+        spec.compile()  # numbers the geoms
+        geoms = {geom.id: geom for geom in spec.geoms}
+        for number, geom in geoms.items():
+            geom.name = geom.name or f"geom-{number}"
+            geom.contype = geom.conaffinity = 0
+        for first, second in pairs:
+            pair = spec.add_pair(geomname1=geoms[first].name, geomname2=geoms[second].name)
+            _mix(pair, plain, first, second)
+        return spec.compile()
+
+
+def _mix(pair: "mujoco._specs.MjsPair", model: mujoco.MjModel, first: int, second: int) -> None:
+    """The parameters of a contact as the engine mixes them; NaN: the compiler mixes them alike."""
+    one, other = (int(model.geom_priority[geom]) for geom in (first, second))
+    dims = [int(model.geom_condim[geom]) for geom in (first, second)]
+    pair.condim = max(dims) if one == other else dims[0] if one > other else dims[1]
+    pair.friction[:] = pair.solref[:] = pair.solimp[:] = np.nan
+    pair.solreffriction[:] = 0
+    pair.margin = model.geom_margin[first] + model.geom_margin[second]
+    pair.gap = model.geom_gap[first] + model.geom_gap[second]
+
+
+def _steps_alike(plain: mujoco.MjModel, model: mujoco.MjModel) -> bool:
+    """Do both models give the same bits from a noisy start under noisy controls?"""
+    rng = np.random.default_rng(0)
+    both = [(plain, mujoco.MjData(plain)), (model, mujoco.MjData(model))]
+    qpos = plain.qpos0 + rng.uniform(-0.1, 0.1, plain.nq)
+    qvel = rng.normal(0, 0.5, plain.nv)
+    for _, data in both:
+        data.qpos[:], data.qvel[:] = qpos, qvel
+    for _ in range(_CHECKED_STEPS):
+        ctrl = rng.normal(0, 0.5, plain.nu)
+        for each, data in both:
+            data.ctrl[:] = ctrl
+            mujoco.mj_step(each, data)
+        (_, one), (_, other) = both
+        if one.ncon != other.ncon or not np.array_equal(one.qacc, other.qacc, equal_nan=True):
+            return False
+    return True
