@@ -58,7 +58,7 @@ class Run:
         """The whole lines so far, from step 0 on."""
         text = self.marks.read_text() if self.marks.exists() else ""
         rows = [json.loads(line) for line in text.splitlines(keepends=True) if line[-1] == "\n"]
-        if rows and rows[0][STEPS] > 0:  # dppo's first row ends its first iteration
+        if rows and "charts/SPS" in rows[0]:  # dppo's first row ends its first iteration
             seconds = rows[0][STEPS] / rows[0]["charts/SPS"]
             rows.insert(0, {STEPS: 0.0, TIME: rows[0][TIME] - seconds})
         return rows

@@ -16,13 +16,13 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from dppo.config import Config, RunConfig
 from dppo.errors import RunFailedError
-from workers.envs import make_env, quiet, spaces_of
+from workers.envs import make_env, make_vec, quiet, spaces_of
 
 Ends = list[NDArray[np.bool_]]
 """Which rows ended after each step."""
@@ -103,13 +103,15 @@ class Bench:
                 f"--slots {rollout.slots} leaves {self.cores - rollout.slots} cores idle; --slots "
                 f"{self.cores} uses them, with a larger batch and other results"
             )
-        now = self.one_process[rollout.num_envs]
-        if self.one_process[self.best] > 1.1 * now:
-            steps = rollout.samples_per_slot // self.best
+        held = -(-rollout.slots // workers) * rollout.num_envs
+        now = self.one_process[max(rows for rows in self.one_process if rows <= held)]
+        if self.best > held and self.one_process[self.best] > 1.1 * now:
+            num_envs = rollout.num_envs * self.best // held
             yield (
-                f"--num-envs {self.best} --num-steps {steps} steps "
-                f"{self.one_process[self.best] / now:.2f} times as fast as --num-envs "
-                f"{rollout.num_envs}, with the same batch and other results"
+                f"{workers} workers step {held} environments each, {self.best} would step "
+                f"{self.one_process[self.best] / now:.2f} times as fast: --num-envs {num_envs} "
+                f"--num-steps {rollout.samples_per_slot // num_envs}, with the same batch and "
+                "other results"
             )
         for name, value in self.threads.items():
             yield f"{name}={value} does not matter: every process of dppo computes on one thread"
@@ -147,7 +149,7 @@ def bench(env_id: str, seconds: float) -> Bench:
 
 def _stepped(env_id: str, rows: int, seconds: float) -> tuple[float, Ends]:
     """Speed of one vector environment; which rows ended after each of its steps."""
-    vec = _vector(env_id, rows)
+    vec = make_vec(env_id, rows, autoreset_mode=AutoresetMode.SAME_STEP)
     actions, ends = _actions(vec.single_action_space, rows), Ends()
     vec.reset(seed=0)
     begun = time.perf_counter()
@@ -156,12 +158,6 @@ def _stepped(env_id: str, rows: int, seconds: float) -> tuple[float, Ends]:
         ends.append(terminated | truncated)
     vec.close()
     return rows * len(ends) / spent, ends
-
-
-def _vector(env_id: str, rows: int) -> VectorEnv[Any, Any, Any]:
-    mode = AutoresetMode.SAME_STEP
-    kwargs = {"autoreset_mode": mode}
-    return gymnasium.make_vec(env_id, rows, vectorization_mode="sync", vector_kwargs=kwargs)
 
 
 def _actions(space: gymnasium.Space[Any], rows: int) -> list[Any]:
