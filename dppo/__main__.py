@@ -1,4 +1,4 @@
-"""`dppo`: looks at what a run has left, and runs the Four Rooms experiment.
+"""`dppo`: looks at what a run has left, and at the machine; runs the Four Rooms experiment.
 
 Training is `dppo-learner`.
 """
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from dppo.store.checkpoint import Checkpoint
 
 _USAGE = (
-    "usage: dppo {eval,checkpoint} RUN [options], or dppo four-rooms [options]; "
-    "dppo eval --help, dppo checkpoint --help, dppo four-rooms --help"
+    "usage: dppo {eval,checkpoint} RUN [options], or dppo {four-rooms,bench} [options]; "
+    "dppo eval --help, dppo checkpoint --help, dppo four-rooms --help, dppo bench --help"
 )
 
 
@@ -53,6 +53,22 @@ class CheckpointArgs:
     """best, newest, or a checkpoint's name such as iteration-00000040."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class BenchArgs:
+    """Measure how fast this machine steps an environment, against bare physics, with advice."""
+
+    env: str = "Ant-v4"
+    """Gymnasium environment id."""
+    seconds: float = 2.0
+    """Length of each of about eight measurements [s]."""
+    json: bool = False
+    """Print one line of JSON."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be run."""
+        require(0 < self.seconds <= 60, "seconds", self.seconds, "0 < seconds <= 60")
+
+
 def main(argv: list[str] | None = None) -> None:
     """Run one subcommand; exit code 2 for wrong usage."""
     from dppo.process import leave, no_window, one_thread
@@ -76,12 +92,15 @@ def _command(words: list[str]) -> int:
             from dppo.four_rooms.command import FourRoomsArgs, run
 
             return run(parse(FourRoomsArgs, rest, "dppo four-rooms"))
+        case ["bench", *rest]:
+            return _bench(parse(BenchArgs, rest, "dppo bench"))
         case ["-h" | "--help", *_]:
             print(f"{_USAGE}\n\n{__doc__}")
             return 0
     found = words[0] if words else "nothing"
     print(
-        f"error: found {found}, expected eval, checkpoint or four-rooms\n{_USAGE}", file=sys.stderr
+        f"error: found {found}, expected eval, checkpoint, four-rooms or bench\n{_USAGE}",
+        file=sys.stderr,
     )
     return 2
 
@@ -135,6 +154,20 @@ def _checkpoint(args: CheckpointArgs) -> int:
         },
     }
     print(json.dumps(summary, indent=2))
+    return 0
+
+
+def _bench(args: BenchArgs) -> int:
+    from workers.bench import bench
+
+    found = bench(args.env, args.seconds)
+    if args.json:
+        print(found.to_json())
+        return 0
+    for line in found.lines():
+        print(line)
+    for sentence in found.advice():
+        print(f"- {sentence}")
     return 0
 
 

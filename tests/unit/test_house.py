@@ -16,7 +16,8 @@ import workers
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("dppo", "learner", "workers")
-FILES = sorted(path for folder in (*PACKAGES, "tests") for path in (ROOT / folder).rglob("*.py"))
+FOLDERS = (*PACKAGES, "tests", "benchmarks")
+FILES = sorted(path for folder in FOLDERS for path in (ROOT / folder).rglob("*.py"))
 TREES = {str(path.relative_to(ROOT)): ast.parse(path.read_bytes()) for path in FILES}
 EXECUTING = {"pickle", "cPickle", "shelve", "marshal", "dill", "cloudpickle", "joblib"}
 """Modules whose files run code when they are read."""
