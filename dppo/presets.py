@@ -75,7 +75,8 @@ def heess2017(env: str) -> Config:
         rollout=replace(base.rollout, num_envs=1, num_steps=500, window=50),
         returns=replace(base.returns, gae_lambda=1.0),
         update=replace(
-            base.update, lr_schedule="constant", update_epochs=20, num_minibatches=1,
+            base.update, learning_rate=3e-4, critic_learning_rate=1e-3,
+            lr_schedule="constant", update_epochs=20, num_minibatches=1,
             critic_epochs=50, critic_minibatches=1,
         ),
         kl=replace(base.kl, kl_scope="worker"),

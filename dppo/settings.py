@@ -167,15 +167,15 @@ class SafetyConfig:
 class UpdateConfig:
     """The updates of one iteration: M of the policy, B of the critics."""
 
-    learning_rate: float = 3e-4
+    learning_rate: float = 5e-4
     """α_θ: Adam learning rate of the policy [1 per update]."""
-    critic_learning_rate: float = 1e-3
+    critic_learning_rate: float = 1.5e-3
     """α_c: Adam learning rate of V and σ [1 per update]."""
     lr_schedule: Literal["linear", "constant", "servo"] = "linear"
     """Both learning rates: linear to 0, constant, or (paper) the policy's follows β."""
     update_epochs: int = 10
     """Passes over the iteration's data; M = update_epochs x num_minibatches [count]."""
-    num_minibatches: int = 8
+    num_minibatches: int = 4
     """Slices of every slot's samples, one per update; 1: full batch [count]."""
     critic_epochs: int = 0
     """Passes for V and σ; 0: as update_epochs [count]."""

@@ -32,7 +32,7 @@ def test_default():
     assert config.kl.kl_target == 0.01
     assert config.update.lr_schedule == "linear"
     assert config.update.num_minibatches > 1
-    assert (config.update.learning_rate, config.update.critic_learning_rate) == (3e-4, 1e-3)
+    assert (config.update.learning_rate, config.update.critic_learning_rate) == (5e-4, 1.5e-3)
     assert config.safety.psi == 0
     assert config.safety.adv_norm == "separate"
     assert config.safety.sigma_head == "softplus"

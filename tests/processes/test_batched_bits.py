@@ -1,0 +1,292 @@
+"""Batched MuJoCo environments against Gymnasium's own: every bit, over whole episodes and resets.
+
+Trained policies in `tests/data/trained_policies.safetensors`; how they were made is beside them.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.vector import AutoresetMode
+from safetensors.numpy import load_file
+
+from workers.envs import make_vec, quiet
+from workers.generic_vec import GenericVec
+from workers.mujoco_vec import MujocoVec
+from workers.physics import contact_pairs, tuned, without_timer
+
+NAMES = (
+    "Ant", "HalfCheetah", "Hopper", "Walker2d", "Humanoid", "HumanoidStandup", "Swimmer",
+    "InvertedPendulum", "InvertedDoublePendulum", "Reacher", "Pusher",
+)  # fmt: skip
+IDS = [f"{name}-{version}" for name in NAMES for version in ("v4", "v5")]
+IDS.remove("Pusher-v4")  # Gymnasium refuses it on MuJoCo 3 and later
+POLICIES = Path(__file__).parents[1] / "data" / "trained_policies.safetensors"
+KWARGS = [
+    ("Ant-v4", {"use_contact_forces": True, "terminate_when_unhealthy": False}),
+    ("Ant-v4", {"exclude_current_positions_from_observation": False, "ctrl_cost_weight": 0.1}),
+    ("Ant-v5", {"include_cfrc_ext_in_observation": False, "main_body": "front_left_leg"}),
+    ("Ant-v5", {"frame_skip": 2, "healthy_reward": 0.5, "contact_cost_weight": 1e-3}),
+    ("HalfCheetah-v5", {"forward_reward_weight": 2.0, "reset_noise_scale": 0.3}),
+    ("Hopper-v4", {"terminate_when_unhealthy": False, "healthy_angle_range": (-0.1, 0.3)}),
+    ("Hopper-v5", {"healthy_state_range": (-5.0, 5.0)}),
+    ("Humanoid-v5", {"include_cvel_in_observation": False, "contact_cost_range": (0.0, 1.0)}),
+    ("Humanoid-v5", {"include_qfrc_actuator_in_observation": False}),
+    ("HumanoidStandup-v5", {"uph_cost_weight": 2.0, "impact_cost_weight": 1e-4}),
+    ("InvertedDoublePendulum-v5", {"healthy_reward": 3.0}),
+    ("Pusher-v5", {"reward_near_weight": 1.5}),
+    ("Reacher-v5", {"reward_control_weight": 0.5}),
+    ("Swimmer-v4", {"exclude_current_positions_from_observation": False}),
+    ("Walker2d-v4", {"terminate_when_unhealthy": False}),
+    ("Walker2d-v5", {"ctrl_cost_weight": 0.5, "healthy_z_range": (0.9, 1.6)}),
+]
+
+
+@pytest.fixture(autouse=True)
+def _quiet():
+    quiet()
+
+
+def pair(env_id, num_envs, mode, **kwargs):
+    """Gymnasium's own vector environment, and ours."""
+    own = gymnasium.make_vec(
+        env_id,
+        num_envs,
+        vectorization_mode="sync",
+        vector_kwargs={"autoreset_mode": mode},
+        **kwargs,
+    )
+    ours = make_vec(env_id, num_envs, autoreset_mode=mode, **kwargs)
+    assert isinstance(ours, MujocoVec)
+    return own, ours
+
+
+def assert_same(one, other, where=""):
+    """Equal to the bit, types, keys and masks included."""
+    if isinstance(one, dict):
+        assert one.keys() == other.keys(), where
+        for name in one:
+            assert_same(one[name], other[name], f"{where}/{name}")
+    elif isinstance(one, tuple) or (isinstance(one, np.ndarray) and one.dtype == object):
+        for number, (a, b) in enumerate(zip(one, other, strict=True)):
+            assert_same(a, b, f"{where}/{number}")
+    elif one is None:
+        assert other is None, where
+    else:
+        a, b = np.asarray(one), np.asarray(other)
+        assert (a.dtype, a.shape) == (b.dtype, b.shape), where
+        assert a.tobytes() == b.tobytes(), f"{where}: {a} {b}"
+
+
+def compare(env_id, steps, actions, num_envs=3, mode=AutoresetMode.SAME_STEP, **kwargs):
+    """Step both; the number of episodes that ended."""
+    own, ours = pair(env_id, num_envs, mode, **kwargs)
+    seeds = list(range(5, 5 + num_envs))
+    obs, infos = own.reset(seed=seeds)
+    assert_same((obs, infos), ours.reset(seed=seeds), f"{env_id} reset")
+    ends = 0
+    for step in range(steps):
+        action = actions(step, obs)
+        result = own.step(action)
+        assert_same(result, ours.step(action), f"{env_id} step {step}")
+        obs, ended = result[0], result[2] | result[3]
+        ends += int(ended.sum())
+        if mode is AutoresetMode.DISABLED and ended.any():
+            again = {"seed": [step + row for row in range(num_envs)]}
+            obs, infos = own.reset(**again, options={"reset_mask": ended.copy()})
+            found = ours.reset(**again, options={"reset_mask": ended.copy()})
+            assert_same((obs, infos), found, f"{env_id} reset {step}")
+    own.close()
+    ours.close()
+    return ends
+
+
+def random_actions(env_id, scale=0.8, seed=0):
+    """Of all sizes, some beyond the bounds."""
+    space: Any = gymnasium.make(env_id).action_space
+    rng = np.random.default_rng(seed)
+
+    def act(_step, obs):
+        return (space.high * rng.normal(0, scale, (len(obs), *space.shape))).astype(np.float32)
+
+    return act
+
+
+def trained_actions(env_id, seed=0):
+    """Sampled from the trained policy, a tanh network on normalised observations."""
+    arrays = load_file(POLICIES)
+    mean, scale, *layers = (arrays[f"{env_id}/{n}"] for n in range(9))
+    log_std, rng = layers.pop(), np.random.default_rng(seed)
+
+    def act(_step, obs):
+        x = np.clip((obs - mean) / scale, -10, 10)
+        for index in range(0, len(layers), 2):
+            x = x @ layers[index] + layers[index + 1]
+            x = np.tanh(x) if index < len(layers) - 2 else x
+        noise = np.exp(log_std) * rng.normal(size=x.shape)
+        return (x + noise).astype(np.float32)
+
+    return act
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_a_batched_environment_has_gymnasiums_bits(env_id):
+    assert compare(env_id, 60, random_actions(env_id), max_episode_steps=25) > 0
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("env_id", ["Hopper-v5", "Ant-v4"])
+def test_rows_begin_anew_as_gymnasiums_do(env_id, mode):
+    assert compare(env_id, 120, random_actions(env_id), mode=mode, max_episode_steps=40) > 3
+
+
+@pytest.mark.parametrize(("env_id", "kwargs"), KWARGS, ids=str)
+def test_keyword_arguments_are_honoured(env_id, kwargs):
+    compare(env_id, 40, random_actions(env_id), max_episode_steps=30, **kwargs)
+
+
+def test_actions_of_double_precision_keep_their_precision():
+    def act(step, obs):
+        return np.random.default_rng(step).normal(0, 0.5, (len(obs), 8))
+
+    compare("Ant-v5", 50, act)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env_id", IDS)
+def test_ten_thousand_random_steps_have_gymnasiums_bits(env_id):
+    assert compare(env_id, 1250, random_actions(env_id), num_envs=8) > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("env_id", IDS)
+def test_ten_thousand_steps_of_a_trained_policy_have_gymnasiums_bits(env_id):
+    mode = AutoresetMode.DISABLED
+    assert compare(env_id, 1250, trained_actions(env_id), num_envs=8, mode=mode) > 0
+
+
+@pytest.mark.parametrize("env_id", ["Ant-v5", "Humanoid-v4", "Hopper-v5", "Reacher-v4"])
+def test_a_row_goes_on_elsewhere_from_its_snapshot(env_id):
+    here, there = (make_vec(env_id, 2, max_episode_steps=30) for _ in range(2))
+    act = random_actions(env_id)
+    obs, _ = here.reset(seed=[1, 2])
+    there.reset(seed=[8, 9])
+    for step in range(17):
+        obs = here.step(act(step, obs))[0]
+    there.restore(here.snapshot([1, 0]), [0, 1])  # rows change places
+    for step in range(40):  # past ends and unseeded resets
+        action = act(step, obs)
+        expected, found = here.step(action), there.step(action[::-1])
+        assert_same(tuple(x[::-1] for x in expected[:4]), found[:4], f"step {step}")
+        obs = expected[0]
+
+
+def test_a_row_does_not_depend_on_the_rows_beside_it():
+    alone, among = make_vec("Walker2d-v4", 1), make_vec("Walker2d-v4", 5)
+    act = random_actions("Walker2d-v4")
+    obs, _ = among.reset(seed=list(range(5)))
+    assert_same(obs[3:4], alone.reset(seed=[3])[0])
+    for step in range(80):
+        action = act(step, obs)
+        together, single = among.step(action), alone.step(action[3:4])
+        assert_same(tuple(x[3:4] for x in together[:4]), single[:4], f"step {step}")
+        obs = together[0]
+
+
+def test_other_environments_and_those_that_render_are_stepped_one_by_one():
+    assert isinstance(make_vec("CartPole-v1", 2), GenericVec)
+    assert isinstance(make_vec("Hopper-v5", 2, render_mode="rgb_array"), GenericVec)
+    wrapped = make_vec("Hopper-v5", 2, max_episode_steps=7)
+    assert isinstance(wrapped, MujocoVec)
+
+
+def test_a_wrong_number_of_seeds_or_environments_is_refused():
+    with pytest.raises(ValueError, match="3 seeds for 2 environments; give one for each"):
+        make_vec("Hopper-v5", 2).reset(seed=[1, 2, 3])
+    with pytest.raises(ValueError, match="num_envs is 0, expected >= 1"):
+        make_vec("Hopper-v5", 0)
+
+
+def test_the_pairs_are_those_that_the_engine_finds():
+    ant: Any = gymnasium.make("Ant-v4").unwrapped
+    floor, geoms = 0, range(1, 14)
+    assert contact_pairs(ant.model) == [(floor, geom) for geom in geoms]
+    reacher: Any = gymnasium.make("Reacher-v5").unwrapped
+    assert contact_pairs(reacher.model) == []
+
+
+@pytest.mark.parametrize("name", ["Ant", "HalfCheetah", "Hopper", "Walker2d"])
+@pytest.mark.parametrize("version", ["v4", "v5"])
+def test_the_robots_are_stepped_with_everything_that_is_faster(name, version):
+    plain: Any = gymnasium.make(f"{name}-{version}").unwrapped
+    model = tuned(plain.fullpath, plain.model)
+    pairs = contact_pairs(plain.model)
+    assert pairs
+    assert model.npair == len(pairs)
+    assert not model.geom_contype.any()
+    assert model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_ISLAND
+
+
+def test_a_model_that_would_lose_bits_is_stepped_as_it_is_written(monkeypatch, caplog):
+    plain: Any = gymnasium.make("Hopper-v5").unwrapped
+    pairs = contact_pairs(plain.model) or []
+    foot = plain.model.geom("foot_geom").id
+    fewer = [pair for pair in pairs if pair != (0, foot)]  # it falls through the floor
+    assert len(fewer) == len(pairs) - 1
+    monkeypatch.setattr("workers.physics.contact_pairs", lambda _: fewer)
+    assert tuned(plain.fullpath, plain.model) is plain.model
+    assert "hopper.xml keeps its bits only as it is written" in caplog.text
+
+
+TOUCHY = """
+<mujoco>
+  <worldbody>
+    <geom type="plane" size="5 5 1" friction="0.3" priority="2"/>
+    <body pos="0 0 1"><freejoint/><geom size="0.2" margin="0.01" gap="0.002" condim="{condim}"/>
+      <body pos="0.5 0 0"><joint type="hinge"/><geom size="0.1" solref="0.05 1" condim="4"/>
+        <body pos="0.4 0 0"><joint type="slide"/><geom type="box" size="0.1 0.2 0.1"/></body>
+      </body>
+    </body>
+    <body pos="0.1 0 1.5"><freejoint/><geom size="0.2" solmix="3" condim="6"/></body>
+  </worldbody>
+  <contact><exclude body1="{excluded}" body2="world"/></contact>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("condim", [1, 3, 6])
+def test_a_strange_model_keeps_its_bits(tmp_path, condim):
+    path = tmp_path / "touchy.xml"
+    text = TOUCHY.format(condim=condim, excluded="last").replace(
+        '<body pos="0.1 0 1.5">', '<body name="last" pos="0.1 0 1.5">'
+    )
+    path.write_text(text)
+    plain = mujoco.MjModel.from_xml_path(str(path))
+    model = tuned(str(path), plain)
+    one, other = mujoco.MjData(plain), mujoco.MjData(model)
+    touched = 0
+    for _ in range(600):
+        mujoco.mj_step(plain, one)
+        with without_timer():
+            mujoco.mj_step(model, other)
+        touched += one.ncon
+        assert one.qpos.tobytes() == other.qpos.tobytes()
+        assert one.qvel.tobytes() == other.qvel.tobytes()
+    assert touched > 100
+
+
+def test_the_timer_is_back_after_stepping():
+    hopper: Any = gymnasium.make("Hopper-v5").unwrapped
+    data = mujoco.MjData(hopper.model)
+
+    def timed():
+        mujoco.mj_step(hopper.model, data)
+        return data.timer[int(mujoco.mjtTimer.mjTIMER_STEP)].number
+
+    before = timed()
+    with without_timer():
+        pass
+    assert timed() == before + 1
