@@ -147,8 +147,8 @@ def test_counts_of_the_default():
     assert config.rollout.quorum == 5
     assert config.rollout.samples_per_slot == 2 * 256
     assert config.rollout.samples == 8 * 2 * 256
-    assert config.update.policy_updates == 10 * 8
-    assert config.update.critic_updates == config.update.updates == 80
+    assert config.update.policy_updates == 10 * 4
+    assert config.update.critic_updates == config.update.updates == 40
 
 
 def test_critics_may_have_their_own_counts():
