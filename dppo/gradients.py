@@ -91,7 +91,7 @@ def _slice(
     return order[index * size : (index + 1) * size]
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=128)
 def _order(seed: int, slot: int, iteration: int, epoch: int, samples: int) -> Rows:
     """Order of one pass over the samples; -1: as they are, for full batches."""
     if epoch < 0:

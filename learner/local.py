@@ -7,15 +7,17 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from dppo.errors import RunFailedError
 from dppo.wire.socket_links import SocketLearnerLink
 
 log = logging.getLogger("learner")
-_MOST_RESTARTS = 20
+_MOST_DEATHS = 20
 _TROUBLE_SECONDS = 5.0
 """A worker that dies younger than this counts as one that cannot start."""
 _END_SECONDS = 3.0
+_STOPPED_SECONDS = 2.0
 
 
 def free_address() -> str:
@@ -30,20 +32,24 @@ class _Child:
     name: str
     process: subprocess.Popen[bytes]
     born: float
+    stopped: float | None = None
+    """Since when it has been seen stopped."""
 
 
 @dataclass(slots=True)
 class LocalWorkers:
     """`count` worker processes, each on a pair of sockets with this one. They die with it.
 
-    However this process ends, kill -9 included, they see their socket's other end gone and exit.
+    However this process ends, kill -9 included, they see their socket's other end gone and exit;
+    one that is stopped just then does so when it is continued.
     """
 
     link: SocketLearnerLink
     count: int
     verbose: bool
     _children: dict[int, _Child] = field(default_factory=dict)
-    _restarts: int = 0
+    _deaths: int = 0
+    _spawned: int = 0
 
     def start(self) -> None:
         """Start all of them."""
@@ -51,27 +57,47 @@ class LocalWorkers:
             self._children[index] = self._spawn(index, 0)
 
     def look_after(self) -> None:
-        """Start again what has died, or was given up because it was silent.
+        """Start again what has died, and what was stopped and not continued for two seconds.
 
         Raises:
             RunFailedError: they die again and again, or as soon as they start.
         """
         for index, child in self._children.items():
-            code = child.process.poll()
-            if code is None and child.name not in self.link:
-                child.process.send_signal(signal.SIGKILL)
-                code = child.process.wait()
-            if code is None:
+            if child.process.poll() is None and not self._is_stopped(child):
                 continue
-            self._restarts += 1
-            log.warning("local worker %d died with exit code %d; starting another", index, code)
-            young = time.monotonic() - child.born < _TROUBLE_SECONDS
-            if self._restarts > _MOST_RESTARTS or (young and code > 0 and self._restarts > 2):
-                raise RunFailedError(
-                    f"local workers died {self._restarts} times, the last with exit code {code}; "
-                    "see what they printed above"
-                )
-            self._children[index] = self._spawn(index, self._restarts)
+            died = child.process.poll()
+            if died is None:
+                log.warning("local worker %d is stopped; starting another in its place", index)
+                child.process.send_signal(signal.SIGKILL)
+                child.process.wait()
+            else:
+                self._count_death(index, child, died)
+            self.link.forget(child.name)
+            self._spawned += 1
+            self._children[index] = self._spawn(index, self._spawned)
+
+    def _count_death(self, index: int, child: "_Child", code: int) -> None:
+        self._deaths += 1
+        log.warning("local worker %d died with exit code %d; starting another", index, code)
+        young = time.monotonic() - child.born < _TROUBLE_SECONDS
+        if self._deaths > _MOST_DEATHS or (young and code > 0 and self._deaths > 2):
+            raise RunFailedError(
+                f"local workers died {self._deaths} times, the last with exit code {code}; "
+                "see what they printed above"
+            )
+
+    def _is_stopped(self, child: "_Child") -> bool:
+        """Stopped (SIGSTOP, a debugger) at every look for two seconds; where /proc tells."""
+        try:
+            stat = Path(f"/proc/{child.process.pid}/stat").read_text()
+        except OSError:
+            return False
+        now = time.monotonic()
+        if stat.rpartition(")")[2].split()[0] not in "Tt":
+            child.stopped = None
+        elif child.stopped is None:
+            child.stopped = now
+        return child.stopped is not None and now - child.stopped > _STOPPED_SECONDS
 
     def end(self) -> None:
         """End all of them, within three seconds."""

@@ -117,8 +117,13 @@ def descendants(pid: int) -> list[int]:
     return children
 
 
-def is_alive(pid: int) -> bool:
+def state_of(pid: int) -> str:
+    """One letter, as in /proc: R running, S sleeping, T stopped, Z ended; empty: gone."""
     try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
     except OSError:
-        return False
+        return ""
+
+
+def is_alive(pid: int) -> bool:
+    return state_of(pid) not in ("", "Z")

@@ -4,6 +4,7 @@ import difflib
 import hashlib
 import json
 import logging
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -61,6 +62,7 @@ def make_vec(
     num_envs: int,
     *,
     autoreset_mode: AutoresetMode = AutoresetMode.NEXT_STEP,
+    snapshots: bool = True,
     **kwargs: Any,  # noqa: ANN401  the environment's own
 ) -> Vec:
     """`num_envs` environments in one vector environment, at the speed of physics where possible.
@@ -76,6 +78,8 @@ def make_vec(
         env_id: Gymnasium id.
         num_envs: n.
         autoreset_mode: when rows whose episode ended begin anew; as in Gymnasium.
+        snapshots: False: a row that is moved by replaying remembers nothing and cannot be moved.
+            Otherwise it remembers all actions since its last reset with a seed.
         kwargs: of the environment, as for gymnasium.make.
 
     Example:
@@ -85,7 +89,14 @@ def make_vec(
     """
     if num_envs < 1:
         raise ValueError(f"num_envs is {num_envs}, expected >= 1")
-    return _vec([_make(env_id, kwargs)], env_id, kwargs, num_envs, autoreset_mode, True, True)
+    return _vec(
+        _make(env_id, kwargs),
+        lambda: _make(env_id, kwargs),
+        num_envs,
+        autoreset_mode=autoreset_mode,
+        infos=True,
+        remember=snapshots,
+    )
 
 
 def training_vec(config: RunConfig, num_envs: int, remember: bool) -> Vec:
@@ -96,29 +107,31 @@ def training_vec(config: RunConfig, num_envs: int, remember: bool) -> Vec:
         num_envs: n.
         remember: how rows came to where they are, for snapshots.
     """
-    kwargs = json.loads(config.env_kwargs)
-    first = _flat(make_env(config))
-    return _vec([first], config.env, kwargs, num_envs, AutoresetMode.DISABLED, False, remember)
+    return _vec(
+        _flat(make_env(config)),
+        lambda: _flat(make_env(config)),
+        num_envs,
+        autoreset_mode=AutoresetMode.DISABLED,
+        infos=False,
+        remember=remember,
+    )
 
 
 def _vec(
-    made: list[Env],
-    env_id: str,
-    kwargs: dict[str, Any],
+    first: Env,
+    another: Callable[[], Env],
     num_envs: int,
+    *,
     autoreset_mode: AutoresetMode,
     infos: bool,
     remember: bool,
 ) -> Vec:
     """Batched if the first environment is of a kind that can be, else one after the other."""
-    kind = kind_of(made[0].unwrapped) if exactness(made[0], True) == "captured" else None
-    if kind is not None and made[0].render_mode is None:
-        return MujocoVec(made[0], kind, num_envs, autoreset_mode, infos)
-    flat = isinstance(made[0], gymnasium.wrappers.FlattenObservation)
-    more = (_make(env_id, kwargs) for _ in range(num_envs - 1))
-    return GenericVec(
-        [*made, *(_flat(env) if flat else env for env in more)], autoreset_mode, remember
-    )
+    kind = kind_of(first.unwrapped) if exactness(first, True) == "captured" else None
+    if kind is not None and first.render_mode is None:
+        return MujocoVec(first, kind, num_envs, autoreset_mode, infos)
+    envs = [first, *(another() for _ in range(num_envs - 1))]
+    return GenericVec(envs, autoreset_mode, infos, remember)
 
 
 def _make(env_id: str, kwargs: dict[str, Any]) -> Env:
@@ -201,16 +214,8 @@ class Adapter:
 
     def to_env(self, action: NDArray[np.float32]) -> Any:  # noqa: ANN401  any space
         """The environment's action from [A]: clipped at its border, or whole numbers."""
-        match self.action:
-            case spaces.Box() as box:
-                bounded = np.minimum(np.maximum(action.reshape(box.shape), box.low), box.high)
-                return bounded.astype(box.dtype, copy=False)
-            case spaces.Discrete() as discrete:
-                return int(discrete.start) + int(action[0])
-            case spaces.MultiDiscrete() as multi:
-                chosen = action.astype(np.int64).reshape(multi.nvec.shape)
-                return (multi.start + chosen).astype(multi.dtype, copy=False)
-        raise AssertionError(f"spaces_of lets no {self.action} through")
+        chosen = self.to_envs(action[None])[0]
+        return int(chosen) if isinstance(self.action, spaces.Discrete) else chosen
 
     def to_envs(self, action: NDArray[np.float32]) -> NDArray[Any]:
         """The actions of n environments from [n, A]; see `to_env`."""

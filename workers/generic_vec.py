@@ -21,9 +21,9 @@ Env = gymnasium.Env[Any, Any]
 class _Watched(gymnasium.Wrapper[Any, Any, Any, Any]):
     """One row: names itself when it fails, and remembers how it came to where it is."""
 
-    def __init__(self, env: Env, row: int, remember: bool) -> None:
+    def __init__(self, env: Env, row: int, infos: bool, remember: bool) -> None:
         super().__init__(env)
-        self._row, self._remember = row, remember
+        self._row, self._infos, self._remember = row, infos, remember
         self.exact = True
         self.seed: int | None = None
         self.actions: list[NDArray[Any]] = []
@@ -45,11 +45,11 @@ class _Watched(gymnasium.Wrapper[Any, Any, Any, Any]):
         elif self._remember:
             self.resets.append(len(self.actions))
         try:
-            self.obs, info = self.env.reset(seed=seed, options=options)
+            self.obs, info = self.env.reset(seed=seed, options=options or None)
         except Exception as error:  # an environment may raise anything
             raise self._failed(f"raised {type(error).__name__} in reset: {error}") from error
         self._check()
-        return self.obs, info
+        return self.obs, info if self._infos else {}
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:  # noqa: ANN401
         """As the environment's."""
@@ -60,16 +60,20 @@ class _Watched(gymnasium.Wrapper[Any, Any, Any, Any]):
         except Exception as error:  # an environment may raise anything
             raise self._failed(f"raised {type(error).__name__}: {error}") from error
         self._check()
-        return self.obs, float(reward), bool(terminated), bool(truncated), info
+        told = info if self._infos else {}
+        return self.obs, float(reward), bool(terminated), bool(truncated), told
 
     def replay(self, seed: int, actions: Sequence[Any], resets: Sequence[int]) -> None:
         """Go to where these led."""
         self.reset(seed=seed)
-        for number in range(len(actions) + 1):
-            for _ in range(resets.count(number)):
-                self.reset()
-            if number < len(actions):
-                self.step(actions[number])
+        done = 0
+        for number in resets:
+            for action in actions[done:number]:
+                self.step(action)
+            self.reset()
+            done = number
+        for action in actions[done:]:
+            self.step(action)
 
     def _check(self) -> None:
         """An observation of another size would not fit beside the others."""
@@ -87,9 +91,11 @@ class _Watched(gymnasium.Wrapper[Any, Any, Any, Any]):
 class GenericVec(SyncVectorEnv):
     """n environments, one after the other; see `workers.envs.make_vec`."""
 
-    def __init__(self, envs: Sequence[Env], autoreset_mode: AutoresetMode, remember: bool) -> None:
+    def __init__(
+        self, envs: Sequence[Env], autoreset_mode: AutoresetMode, infos: bool, remember: bool
+    ) -> None:
         """`remember` what leads to where a row is, for snapshots."""
-        self._rows = [_Watched(env, row, remember) for row, env in enumerate(envs)]
+        self._rows = [_Watched(env, row, infos, remember) for row, env in enumerate(envs)]
         super().__init__([row.itself for row in self._rows], autoreset_mode=autoreset_mode)
         self.spec = envs[0].spec
 
@@ -125,7 +131,7 @@ class GenericVec(SyncVectorEnv):
         obs = gymnasium.spaces.flatten(self.single_observation_space, watched.obs)
         return {
             "seed": np.array([watched.seed], np.int64),
-            "actions": np.array(watched.actions, np.float64),
+            "actions": np.array(watched.actions),
             "resets": np.array(watched.resets, np.int64),
             "obs": np.asarray(obs),
             "exact": np.array([watched.exact], np.uint8),

@@ -50,6 +50,7 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
         self._data = [mujoco.MjData(self._model) for _ in range(num_envs)]
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._elapsed = np.zeros(num_envs, np.int64)
+        self._begun = np.zeros(num_envs, np.bool_)
         self._ended = np.zeros(num_envs, np.bool_)
         self._ctrl = [data.ctrl for data in self._data]
         self._views = {
@@ -86,6 +87,7 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
 
         Rows whose episode has ended begin anew as `autoreset_mode` says.
         """
+        actions = self._checked(actions)
         resting = self._ended if self._mode is AutoresetMode.NEXT_STEP else None
         if resting is not None and resting.any():
             return self._step_some(actions, ~resting)
@@ -98,6 +100,24 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
         reward = judged.reward.astype(np.float64, copy=False)
         return obs, reward, judged.terminated, truncated, infos
 
+    def _checked(self, actions: NDArray[Any]) -> NDArray[Any]:
+        """The actions, row by row in memory: sums over a row depend on that.
+
+        Raises:
+            ValueError: another shape than the action space's.
+            ResetNeeded: a row has no episode under way.
+        """
+        if np.shape(actions) != self.action_space.shape:
+            raise ValueError(
+                f"actions have shape {np.shape(actions)}, expected {self.action_space.shape}"
+            )
+        if not self._begun.all() or (self._mode is AutoresetMode.DISABLED and self._ended.any()):
+            rows = np.flatnonzero(~self._begun | self._ended).tolist()
+            raise gymnasium.error.ResetNeeded(
+                f"rows {rows} have no episode under way; call reset, with reset_mask for some rows"
+            )
+        return np.ascontiguousarray(actions)
+
     def snapshot(self, rows: Sequence[int] | None = None) -> list[Arrays]:
         """Everything that the future of each row depends on, besides its actions."""
         snapshots = []
@@ -106,7 +126,9 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
             mujoco.mj_getState(self._model, self._data[row], state, _STATE)
             arrays: Arrays = {
                 "mujoco": state,
-                "counts": np.array([self._elapsed[row], self._ended[row]], np.int64),
+                "counts": np.array(
+                    [self._elapsed[row], self._begun[row], self._ended[row]], np.int64
+                ),
                 "generator": generator_state(self._generator(row)),
             }
             # what the last step left behind, such as positions before it: rewards read it
@@ -122,7 +144,7 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
             mujoco.mj_resetData(self._model, data)
             mujoco.mj_setState(self._model, data, arrays["mujoco"], _STATE)
             self._rngs[row] = generator_from(arrays["generator"])
-            self._elapsed[row], self._ended[row] = arrays["counts"]
+            self._elapsed[row], self._begun[row], self._ended[row] = arrays["counts"]
             for name, array in self._now.items():
                 array[row] = arrays[name].reshape(array.shape[1:])
 
@@ -164,7 +186,7 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
         env.data, env.np_random = data, self._generator(row)
         mujoco.mj_resetData(self._model, data)
         env.reset_model()
-        self._elapsed[row], self._ended[row] = 0, False
+        self._elapsed[row], self._begun[row], self._ended[row] = 0, True, False
         for name, views in self._views.items():
             self._now[name][row] = views[row].reshape(self._now[name].shape[1:])
         info: dict[str, Any] = env._get_reset_info()
@@ -209,9 +231,9 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
         mask = np.ones(self.num_envs, np.bool_) if active is None else active
         infos: dict[str, Any] = {}
         for name, values in info.items():
+            infos |= {name: values.copy(), f"_{name}": mask.copy()}
             if active is not None:
-                values[~active] = 0
-            infos |= {name: values, f"_{name}": mask.copy()}
+                infos[name][~active] = 0
         return infos
 
 

@@ -48,9 +48,9 @@ class Worker:
         self._slots: Slots | None = None
         self._boundary: dict[int, tuple[int, bytes]] = {}
         """Of each slot, the iteration it will collect next, and its snapshot."""
-        self._lessons: dict[int, Experience] = {}
+        self._experiences: dict[int, Experience] = {}
         self._complete: set[int] = set()
-        """Slots whose lessons have their advantage."""
+        """Slots whose experience has its advantage."""
         self._collect_task: Collect | None = None
 
     def perform(self, task: Restore | Collect | Update | Measure) -> None:
@@ -82,7 +82,7 @@ class Worker:
         """T steps per slot, V, σ, δ, A_V, A_σ and π_old; moments and snapshot to the chief."""
         slots = self._at_start(task)
         if self._collect_task is None or self._collect_task.iteration != task.iteration:
-            self._lessons.clear()
+            self._experiences.clear()
             self._boundary = {
                 index: held for index, held in self._boundary.items() if held[0] >= task.iteration
             }
@@ -108,7 +108,7 @@ class Worker:
         ):
             if self._config.update.critic_replay:
                 slots.replays[index] = kept
-            self._lessons[index] = experience
+            self._experiences[index] = experience
             self._complete.discard(index)
             snapshot = slots.snapshot(index)
             self._boundary[index] = slots.iteration, snapshot
@@ -155,29 +155,29 @@ class Worker:
 
     def _gradients(self, task: Update) -> tuple[Float32, NDArray[np.float64]]:
         """A row per slot of the task."""
-        lessons, minibatches = [], []
+        experiences, minibatches = [], []
         for index in task.slots:
-            lesson, collect = self._lesson(index, task.iteration)
+            experience, collect = self._experience(index, task.iteration)
             if index not in self._complete:
-                lesson.advantage[:] = combine(
-                    lesson.a_v,
-                    lesson.a_sigma,
+                experience.advantage[:] = combine(
+                    experience.a_v,
+                    experience.a_sigma,
                     collect.psi,
                     AdvantageStatistics(Moments.from_vector(task.advantages)),
                     self._config.safety,
                 )
                 self._complete.add(index)
-            stored = len(lesson.critics)
+            stored = len(experience.critics)
             rows = Minibatch.of(self._config, index, task.iteration, task.round - 1, stored)
             if index in task.stopped:
                 rows = Minibatch(policy=None, critics=rows.critics)
-            lessons.append(lesson)
+            experiences.append(experience)
             minibatches.append(rows)
         return block_gradient(
             self._networks,
             self._distribution,
             task.parameters,
-            lessons,
+            experiences,
             minibatches,
             collect.beta,
             self._config,
@@ -186,8 +186,8 @@ class Worker:
     def _measure(self, task: Measure) -> None:
         """KL[π_old|π] over all of a slot's samples, after the last update."""
         for index in task.slots:
-            lesson, _ = self._lesson(index, task.iteration)
-            facts = slot_kl(self._networks, self._distribution, task.parameters, lesson)
+            experience, _ = self._experience(index, task.iteration)
+            facts = slot_kl(self._networks, self._distribution, task.parameters, experience)
             self._link.send(
                 Measured(
                     worker=self._name,
@@ -222,9 +222,9 @@ class Worker:
         self._slots = Slots.restored(task.slots, self._config, task.iteration, snapshots)
         return self._slots
 
-    def _lesson(self, index: int, iteration: int) -> tuple[Experience, Collect]:
+    def _experience(self, index: int, iteration: int) -> tuple[Experience, Collect]:
         """What the slot learns from in `iteration`, and the task that collected it."""
         collect = self._collect_task
-        if collect is None or collect.iteration != iteration or index not in self._lessons:
+        if collect is None or collect.iteration != iteration or index not in self._experiences:
             raise OutOfStepError(f"slot {index} has not collected iteration {iteration}")
-        return self._lessons[index], collect
+        return self._experiences[index], collect

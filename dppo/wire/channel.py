@@ -1,7 +1,7 @@
 """Frames over a stream of bytes between two processes of one host.
 
 A frame travels as the lengths of header and body and the place of the body, then both; bodies lie
-in shared memory (`shared_bodies`) where there is room. A frame of length 0 is a heartbeat.
+in shared memory (`shared_bodies`) where there is room.
 """
 
 import socket
@@ -15,8 +15,7 @@ from dppo.wire.shared_bodies import SharedBodies
 
 _PREFIX = struct.Struct("<IIi")
 _INLINE = -1
-"""In place of a slot's number: the body follows the header."""
-HEARTBEAT = _PREFIX.pack(0, 0, _INLINE)
+"""In place of a cell's number: the body follows the header."""
 _READ_BYTES = 1 << 18
 
 
@@ -28,7 +27,7 @@ class Channel:
         self._received = bytearray()
 
     def frames(self) -> Iterator[Frame]:
-        """All frames that one read completes; heartbeats are skipped.
+        """All frames that one read completes.
 
         Raises:
             EOFError: the other end is gone.
@@ -44,46 +43,45 @@ class Channel:
             raise EOFError
         self._received += data
         while (frame := self._next()) is not None:
-            if frame.header:
-                yield frame
+            yield frame
 
     def _next(self) -> Frame | None:
         """The first whole frame among the received bytes."""
         if len(self._received) < _PREFIX.size:
             return None
-        header, body, slot = _PREFIX.unpack_from(self._received)
+        header, body, cell = _PREFIX.unpack_from(self._received)
         if header > MAX_HEADER or body > MAX_BODY:
             raise WireError(
                 f"a frame of {header} + {body} bytes was announced, at most "
                 f"{MAX_HEADER} + {MAX_BODY} are accepted"
             )
         middle = _PREFIX.size + header
-        stop = middle + (body if slot == _INLINE else 0)
+        stop = middle + (body if cell == _INLINE else 0)
         if len(self._received) < stop:
             return None
         frame = Frame(
             bytes(self._received[_PREFIX.size : middle]),
-            self._received[middle:stop] if slot == _INLINE else self._shared(slot, body),
+            self._received[middle:stop] if cell == _INLINE else self._shared(cell, body),
         )
         del self._received[:stop]
         return frame
 
-    def _shared(self, slot: int, length: int) -> bytearray:
+    def _shared(self, cell: int, length: int) -> bytearray:
         try:
             if self._bodies is None:
                 raise ValueError("no memory is shared")
-            return self._bodies.take(slot, length)
+            return self._bodies.take(cell, length)
         except ValueError as error:
             raise WireError(f"a body was said to be in shared memory: {error}") from error
 
     def pieces(self, message: Message) -> list[memoryview]:
         """What to write for a message."""
         frame = encode(message)
-        slot = None if self._bodies is None else self._bodies.put(frame.body)
+        cell = None if self._bodies is None else self._bodies.put(frame.body)
         prefix = _PREFIX.pack(
-            len(frame.header), len(frame.body), _INLINE if slot is None else slot
+            len(frame.header), len(frame.body), _INLINE if cell is None else cell
         )
-        body = [memoryview(frame.body)] if slot is None and frame.body else []
+        body = [memoryview(frame.body)] if cell is None and frame.body else []
         return [memoryview(prefix + frame.header), *body]
 
 

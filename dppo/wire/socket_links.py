@@ -2,10 +2,8 @@
 
 Between processes of one host a frame takes one write and one read; through Zenoh it passes half a
 dozen threads (docs/performance.md). Nothing has a name, so nothing is left behind, and either
-process sees the other's end at once.
-
-Twice a second a worker sends a heartbeat from a thread of its own, so that one that is stopped, or
-holds Python's lock for ever, is told apart from one that only computes.
+process sees at once when the other is gone. A worker that is only stopped is noticed by who
+started it (`learner/local.py`).
 """
 
 import contextlib
@@ -19,16 +17,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from dppo.errors import WireError
-from dppo.wire.channel import HEARTBEAT, Channel, without
+from dppo.wire.channel import Channel, without
 from dppo.wire.codec import Frame
 from dppo.wire.inbox import decoded
 from dppo.wire.links import LearnerLink, LearnerLost, Refused, WorkerLost
 from dppo.wire.messages import ToLearner, ToWorker
 from dppo.wire.shared_bodies import SharedBodies, new_memory
 
-BEAT_SECONDS = 0.5
-SILENCE_SECONDS = 2.0
-"""A worker that was heard once and then not for so long is given up."""
 _BUFFER = 1 << 20
 _MOST_PIECES = 64
 _READABLE = select.POLLIN | select.POLLHUP | select.POLLERR
@@ -40,8 +35,6 @@ class _Peer:
 
     channel: Channel
     unsent: list[memoryview] = field(default_factory=list)
-    heard: float | None = None
-    """When bytes last came; None: it has not started yet."""
 
 
 class SocketLearnerLink:
@@ -70,10 +63,6 @@ class SocketLearnerLink:
         self._poll.register(ours, select.POLLIN)
         return Inheritance(theirs, memory)
 
-    def __contains__(self, name: str) -> bool:
-        """Is there a pair for this worker, not given up?"""
-        return name in self._peers
-
     def receive(self, timeout: float) -> ToLearner | WorkerLost | Refused | None:
         """See `LearnerLink`."""
         deadline = time.monotonic() + timeout
@@ -87,7 +76,6 @@ class SocketLearnerLink:
             ready = self._poll.poll(max(0.0, 1000 * left))
             for descriptor, what in ready:
                 self._serve(descriptor, what)
-            self._give_up_silent_ones()
             if not ready and left <= 0 and not self._events:
                 return None
 
@@ -101,6 +89,11 @@ class SocketLearnerLink:
         peer.unsent += peer.channel.pieces(message)
         if not waiting:
             self._flush(worker, peer)
+
+    def forget(self, name: str) -> None:
+        """Close the pair of a worker whose process has ended, if it is still there."""
+        if name in self._peers:
+            self._lose(name)
 
     def let_go(self) -> None:
         """Close all pairs: the workers' processes end."""
@@ -123,7 +116,6 @@ class SocketLearnerLink:
         if what & select.POLLOUT:
             self._flush(name, peer)
         if what & _READABLE and name in self._peers:
-            peer.heard = time.monotonic()
             self._read(name, peer)
 
     def _read(self, name: str, peer: _Peer) -> None:
@@ -144,17 +136,9 @@ class SocketLearnerLink:
         except BlockingIOError:
             self._poll.modify(peer.channel.end, select.POLLIN | select.POLLOUT)
         except ConnectionError:
-            self._lose(name)
+            self._read(name, peer)  # its last words, and then the end
         else:
             self._poll.modify(peer.channel.end, select.POLLIN)
-
-    def _give_up_silent_ones(self) -> None:
-        """Called when everything has been read: what this process slept through does not count."""
-        now = time.monotonic()
-        for name, peer in list(self._peers.items()):
-            silent = peer.heard is not None and now - peer.heard > SILENCE_SECONDS
-            if silent and not select.select([peer.channel.end], [], [], 0)[0]:
-                self._lose(name)
 
     def _lose(self, name: str) -> None:
         self._drop(name)
@@ -213,53 +197,61 @@ class SocketWorkerLink:
     """A `WorkerLink` to the learner that started this process."""
 
     def __init__(self, descriptors: Sequence[int], orphaned: Callable[[], None]) -> None:
-        """`orphaned` is called in another thread when the learner is gone.
+        """Take over what was inherited.
 
         Args:
-            descriptors: as in `Inheritance`.
-            orphaned: what to do then: there is no other learner to wait for.
+            descriptors: as in `Inheritance`; processes that this one starts do not get them.
+            orphaned: called in another thread when the learner is gone: there is no other one to
+                wait for.
         """
+        for descriptor in descriptors:
+            os.set_inheritable(descriptor, False)
         self._end = socket.socket(fileno=descriptors[0])
-        bodies = SharedBodies(descriptors[1], is_learner=False) if descriptors[1:] else None
+        bodies = None
+        if descriptors[1:]:
+            bodies = SharedBodies(descriptors[1], is_learner=False)
+            os.close(descriptors[1])
         self._channel, self._frames = Channel(self._end, bodies), deque[Frame]()
-        self._writing, self._orphaned, self._closed = threading.Lock(), orphaned, False
-        threading.Thread(target=self._beat, daemon=True).start()
+        self._incoming = select.poll()
+        self._incoming.register(self._end, select.POLLIN)
+        self._orphaned, self._closed = orphaned, False
+        threading.Thread(target=self._watch, daemon=True).start()
 
     def receive(self, timeout: float) -> ToWorker | LearnerLost | Refused | None:
         """See `WorkerLink`."""
         deadline = time.monotonic() + timeout
         while not self._frames:
             left = max(0.0, deadline - time.monotonic())
-            if not select.select([self._end], [], [], left)[0]:
+            if not self._incoming.poll(1000 * left):
                 return None
             try:
                 self._frames.extend(self._channel.frames())
             except EOFError:
                 return LearnerLost()
+            except WireError as error:  # out of step: nothing behind it can be read
+                self._end.shutdown(socket.SHUT_RDWR)
+                return Refused(str(error))
         message: ToWorker | Refused = decoded(self._frames.popleft())
         return message
 
     def send(self, message: ToLearner) -> None:
         """See `WorkerLink`."""
-        with self._writing:
-            unsent = self._channel.pieces(message)
+        unsent = self._channel.pieces(message)
+        with contextlib.suppress(ConnectionError):
             while unsent:
                 unsent = without(unsent, self._end.sendmsg(unsent))
 
     def close(self) -> None:
         """See `WorkerLink`."""
         self._closed = True
-        with self._writing:
-            self._end.close()
+        with contextlib.suppress(OSError):
+            self._end.shutdown(socket.SHUT_RDWR)  # wakes the thread that watches
+        self._end.close()
 
-    def _beat(self) -> None:
-        """Say that this process lives, until nobody listens any more."""
-        while not self._closed:
-            time.sleep(BEAT_SECONDS)
-            try:
-                with self._writing:
-                    self._end.sendall(HEARTBEAT)
-            except OSError:
-                break
+    def _watch(self) -> None:
+        """Wait for the other end to close, whatever the rest of this process does meanwhile."""
+        hangup = select.poll()
+        hangup.register(self._end, 0)
+        hangup.poll()
         if not self._closed:
             self._orphaned()

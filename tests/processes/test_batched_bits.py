@@ -155,6 +155,40 @@ def test_actions_of_double_precision_keep_their_precision():
     compare("Ant-v5", 50, act)
 
 
+def test_the_order_of_actions_in_memory_does_not_matter():
+    compare("Ant-v4", 40, lambda step, obs: np.asfortranarray(random_actions("Ant-v4")(step, obs)))
+
+
+@pytest.mark.parametrize("env_id", ["InvertedPendulum-v5", "HalfCheetah-v5"])
+def test_a_row_that_is_cut_off_leaves_the_rows_beside_it_alone(env_id):
+    own, ours = pair(env_id, 3, AutoresetMode.SAME_STEP, max_episode_steps=9)
+    mask = np.array([False, True, False])
+    for vec in (own, ours):
+        vec.reset(seed=[1, 2, 3])
+    for step in range(30):
+        action = np.zeros(own.action_space.shape, np.float32)
+        assert_same(own.step(action), ours.step(action), f"step {step}")
+        if step == 4:  # from here on the rows end at different times
+            results = [
+                vec.reset(seed=7, options={"reset_mask": mask.copy()}) for vec in (own, ours)
+            ]
+            assert_same(results[0][0], results[1][0])
+
+
+def test_stepping_past_an_end_before_a_reset_or_with_a_wrong_shape_is_refused():
+    vec = make_vec("Hopper-v5", 2, autoreset_mode=AutoresetMode.DISABLED, max_episode_steps=2)
+    action = np.zeros((2, 3), np.float32)
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"rows \[0, 1\] have no episode"):
+        vec.step(action)
+    vec.reset(seed=[1, 2])
+    with pytest.raises(ValueError, match=r"actions have shape \(3,\), expected \(2, 3\)"):
+        vec.step(np.zeros(3))
+    vec.step(action)
+    assert vec.step(action)[3].all()
+    with pytest.raises(gymnasium.error.ResetNeeded, match=r"call reset, with reset_mask"):
+        vec.step(action)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("env_id", IDS)
 def test_ten_thousand_random_steps_have_gymnasiums_bits(env_id):
@@ -174,14 +208,16 @@ def test_a_row_goes_on_elsewhere_from_its_snapshot(env_id):
     act = random_actions(env_id)
     obs, _ = here.reset(seed=[1, 2])
     there.reset(seed=[8, 9])
-    for step in range(17):
-        obs = here.step(act(step, obs))[0]
-    there.restore(here.snapshot([1, 0]), [0, 1])  # rows change places
-    for step in range(40):  # past ends and unseeded resets
+    ends = 0
+    for step in range(70):  # past ends and unseeded resets
+        if step % 10 == 0 or ends:  # also in the moment between an end and the new episode
+            there.restore(here.snapshot([1, 0]), [0, 1])  # rows change places
         action = act(step, obs)
         expected, found = here.step(action), there.step(action[::-1])
         assert_same(tuple(x[::-1] for x in expected[:4]), found[:4], f"step {step}")
-        obs = expected[0]
+        infos = {name: values[::-1] for name, values in expected[4].items()}
+        assert_same(infos, found[4], f"step {step}")
+        obs, ends = expected[0], int((expected[2] | expected[3]).sum())
 
 
 def test_a_row_does_not_depend_on_the_rows_beside_it():
@@ -250,32 +286,54 @@ TOUCHY = """
         <body pos="0.4 0 0"><joint type="slide"/><geom type="box" size="0.1 0.2 0.1"/></body>
       </body>
     </body>
-    <body pos="0.1 0 1.5"><freejoint/><geom size="0.2" solmix="3" condim="6"/></body>
+    <body name="last" pos="0.1 0 1.5"><freejoint/><geom size="0.2" solmix="3" condim="6"/></body>
+    <body name="post" pos="0.6 0.1 0.3"><geom type="box" size="0.1 0.1 0.3"/></body>
   </worldbody>
-  <contact><exclude body1="{excluded}" body2="world"/></contact>
+  <contact><exclude body1="last" body2="world"/></contact>
 </mujoco>
 """
 
 
-@pytest.mark.parametrize("condim", [1, 3, 6])
-def test_a_strange_model_keeps_its_bits(tmp_path, condim):
-    path = tmp_path / "touchy.xml"
-    text = TOUCHY.format(condim=condim, excluded="last").replace(
-        '<body pos="0.1 0 1.5">', '<body name="last" pos="0.1 0 1.5">'
-    )
-    path.write_text(text)
+def steps_alike(path, model_of, steps=600):
+    """Step a file's model as it is written and as `model_of` makes it; how much it touched."""
     plain = mujoco.MjModel.from_xml_path(str(path))
-    model = tuned(str(path), plain)
+    model = model_of(plain)
     one, other = mujoco.MjData(plain), mujoco.MjData(model)
     touched = 0
-    for _ in range(600):
+    for _ in range(steps):
         mujoco.mj_step(plain, one)
         with without_timer():
             mujoco.mj_step(model, other)
         touched += one.ncon
         assert one.qpos.tobytes() == other.qpos.tobytes()
         assert one.qvel.tobytes() == other.qvel.tobytes()
-    assert touched > 100
+    return touched
+
+
+@pytest.mark.parametrize("condim", [1, 3, 6])
+def test_pairs_are_mixed_as_the_engine_mixes_them(tmp_path, monkeypatch, condim):
+    path = tmp_path / "touchy.xml"
+    path.write_text(TOUCHY.format(condim=condim))
+    monkeypatch.setattr("workers.physics._is_gymnasiums", lambda _: True)
+
+    def model_of(plain):
+        model = tuned(str(path), plain)
+        assert model.npair > 0
+        return model
+
+    assert steps_alike(path, model_of) > 100
+
+
+def test_a_file_of_ones_own_keeps_its_broad_phase(tmp_path):
+    path = tmp_path / "touchy.xml"
+    path.write_text(TOUCHY.format(condim=3))
+
+    def model_of(plain):
+        model = tuned(str(path), plain)
+        assert model.npair == 0
+        return model
+
+    assert steps_alike(path, model_of) > 100
 
 
 def test_the_timer_is_back_after_stepping():

@@ -15,11 +15,12 @@ from tests.support import (
     is_alive,
     iterations,
     result,
+    state_of,
     wait_until,
 )
 
 pytestmark = pytest.mark.slow
-RUN = ("--env", "Hopper-v5", *SMALL, "--total-timesteps", str(30 * 8 * 64))
+RUN = ("--env", "Hopper-v5", *SMALL, "--total-timesteps", str(100 * 8 * 64))
 EVERY = ("--checkpoint-every", "2")
 
 
@@ -63,6 +64,33 @@ def test_a_local_worker_killed_is_replaced_and_costs_no_bits(harness, undisturbe
     os.kill(victim, signal.SIGKILL)
     assert learner.wait() == 0, learner.text
     assert "starting another" in learner.text
+    assert result(run_dir)["parameters_sha256"] == undisturbed
+
+
+def test_a_stopped_local_worker_is_replaced_and_costs_no_bits(harness, undisturbed):
+    run_dir = harness.folder / "run"
+    learner = harness.learner(*RUN, "--local-workers", "2", "--verbose", run_dir=run_dir)
+    wait_until(lambda: iterations(run_dir) >= 3, "three iterations")
+    victim = max(descendants(learner.popen.pid))
+    os.kill(victim, signal.SIGSTOP)
+    assert learner.wait() == 0, learner.text
+    assert "is stopped; starting another in its place" in learner.text
+    assert not is_alive(victim)
+    assert result(run_dir)["parameters_sha256"] == undisturbed
+
+
+def test_everything_stopped_for_a_while_and_continued_loses_no_worker(harness, undisturbed):
+    run_dir = harness.folder / "run"
+    learner = harness.learner(*RUN, "--local-workers", "2", "--verbose", run_dir=run_dir)
+    wait_until(lambda: iterations(run_dir) >= 3, "three iterations")
+    workers = descendants(learner.popen.pid)
+    for pid in (learner.popen.pid, *workers):
+        os.kill(pid, signal.SIGSTOP)
+    wait_until(lambda: state_of(learner.popen.pid) == "T", "the learner to stop")
+    for pid in (*workers, learner.popen.pid):
+        os.kill(pid, signal.SIGCONT)
+    assert learner.wait() == 0, learner.text
+    assert "starting another" not in learner.text
     assert result(run_dir)["parameters_sha256"] == undisturbed
 
 

@@ -7,12 +7,10 @@ import time
 import numpy as np
 import pytest
 
-from dppo.wire import socket_links
-from dppo.wire.channel import HEARTBEAT
 from dppo.wire.links import LearnerLost, Refused, WorkerLost
 from dppo.wire.memory_links import MemoryHub
 from dppo.wire.messages import Hello, Measure, Stop
-from dppo.wire.shared_bodies import SLOT_BYTES, SharedBodies, new_memory
+from dppo.wire.shared_bodies import CELL_BYTES, SharedBodies, new_memory
 from dppo.wire.socket_links import Alarm, SocketLearnerLink, SocketWorkerLink
 
 PATIENCE = 10.0
@@ -50,7 +48,7 @@ def next_message(link, pump=lambda: None):
     pytest.fail(f"nothing came within {PATIENCE} s")
 
 
-@pytest.mark.parametrize("size", [0, 1, SLOT_BYTES // 4, SLOT_BYTES // 4 + 1, 5 * SLOT_BYTES // 4])
+@pytest.mark.parametrize("size", [0, 1, CELL_BYTES // 4, CELL_BYTES // 4 + 1, 5 * CELL_BYTES // 4])
 def test_a_body_arrives_through_memory_or_through_the_socket(learner, worker, size):
     sent = measure(size)
     learner.send("w1", sent)
@@ -60,11 +58,11 @@ def test_a_body_arrives_through_memory_or_through_the_socket(learner, worker, si
 
 def test_a_worker_that_does_not_read_never_holds_up_the_learner(learner, worker):
     for number in range(40):  # 40 MB: more than memory and socket take
-        learner.send("w1", measure(SLOT_BYTES // 4, number))
+        learner.send("w1", measure(CELL_BYTES // 4, number))
     for number in range(40):
         found = next_message(worker, lambda: learner.receive(0.0))
         assert found.round == number
-        assert found.parameters.tobytes() == measure(SLOT_BYTES // 4, number).parameters.tobytes()
+        assert found.parameters.tobytes() == measure(CELL_BYTES // 4, number).parameters.tobytes()
 
 
 def test_messages_of_the_other_link_wake_the_learner():
@@ -77,35 +75,6 @@ def test_messages_of_the_other_link_wake_the_learner():
     link.close()
 
 
-def test_a_worker_that_falls_silent_is_given_up(learner, monkeypatch):
-    monkeypatch.setattr(socket_links, "SILENCE_SECONDS", 0.05)
-    inherited = learner.adopt("w1")
-    assert learner.receive(0.2) is None  # it has not started yet: no reason to give it up
-    inherited.end.sendall(HEARTBEAT)
-    assert next_message(learner) == WorkerLost("w1")
-    assert "w1" not in learner
-    inherited.close()
-
-
-def test_a_worker_that_sends_heartbeats_is_kept(learner, worker, monkeypatch):
-    monkeypatch.setattr(socket_links, "SILENCE_SECONDS", 3 * socket_links.BEAT_SECONDS)
-    worker.send(HELLO)
-    assert next_message(learner) == HELLO
-    assert learner.receive(6 * socket_links.BEAT_SECONDS) is None
-    assert "w1" in learner
-
-
-def test_a_learner_that_slept_does_not_give_up_who_spoke_meanwhile(learner, monkeypatch):
-    inherited = learner.adopt("w1")
-    inherited.end.sendall(HEARTBEAT)
-    learner.receive(0.01)
-    inherited.end.sendall(HEARTBEAT)
-    monkeypatch.setattr(socket_links, "SILENCE_SECONDS", 0.0)  # long ago, as it seems
-    learner._give_up_silent_ones()
-    assert "w1" in learner
-    inherited.close()
-
-
 def test_a_length_beyond_the_limits_ends_the_connection(learner):
     inherited = learner.adopt("w1")
     inherited.end.sendall(struct.pack("<IIi", 1 << 30, 0, -1))
@@ -116,10 +85,10 @@ def test_a_length_beyond_the_limits_ends_the_connection(learner):
     inherited.close()
 
 
-@pytest.mark.parametrize(("slot", "length"), [(7, 8), (0, 2 * SLOT_BYTES), (-2, 8)])
-def test_a_slot_that_does_not_exist_ends_the_connection(learner, slot, length):
+@pytest.mark.parametrize(("cell", "length"), [(7, 8), (0, 2 * CELL_BYTES), (-2, 8)])
+def test_a_cell_that_does_not_exist_ends_the_connection(learner, cell, length):
     inherited = learner.adopt("w1")
-    inherited.end.sendall(struct.pack("<IIi", 1, length, slot) + b"x")
+    inherited.end.sendall(struct.pack("<IIi", 1, length, cell) + b"x")
     refused = next_message(learner)
     assert isinstance(refused, Refused)
     assert "a body was said to be in shared memory" in refused.reason
@@ -143,7 +112,31 @@ def test_a_worker_whose_learner_is_gone_is_told_and_may_end_itself():
     link.close()
 
 
-def test_a_slot_is_free_again_once_its_body_was_taken():
+def test_what_a_worker_said_before_it_died_is_heard_even_if_the_learner_speaks_first(learner):
+    inherited = learner.adopt("w1")
+    link = SocketWorkerLink([os.dup(d) for d in inherited.descriptors], lambda: None)
+    inherited.close()
+    link.send(HELLO)
+    link.close()
+    learner.send("w1", measure(1))
+    assert next_message(learner) == HELLO
+    assert next_message(learner) == WorkerLost("w1")
+
+
+def test_processes_that_a_worker_starts_inherit_nothing_of_the_pair(learner):
+    inherited = learner.adopt("w1")
+    copies = [os.dup(d) for d in inherited.descriptors]
+    for descriptor in copies:
+        os.set_inheritable(descriptor, True)
+    link = SocketWorkerLink(copies, lambda: None)
+    assert not os.get_inheritable(copies[0])
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(copies[1])  # the memory is mapped: its descriptor is not kept
+    link.close()
+    inherited.close()
+
+
+def test_a_cell_is_free_again_once_its_body_was_taken():
     memory = new_memory()
     assert memory is not None
     sender, receiver = SharedBodies(memory, True), SharedBodies(memory, False)
