@@ -26,7 +26,7 @@ class Link:
         self.sent.append(message)
 
     def receive(self, timeout):
-        return None
+        del timeout
 
     def close(self):
         pass

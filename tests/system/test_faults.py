@@ -106,7 +106,7 @@ def test_a_learner_killed_and_started_again_finishes_with_the_same_bits(harness,
     assert outcome["parameters_sha256"] == undisturbed
     assert outcome["restarts"] == 1
     rows = [json.loads(line) for line in (run_dir / "metrics.jsonl").read_text().splitlines()]
-    assert [row["iteration"] for row in rows] == list(range(1, 31))
+    assert [row["iteration"] for row in rows] == list(range(1, 101))
 
 
 def test_external_workers_outlive_the_learner_and_join_the_next_one(harness, undisturbed):
