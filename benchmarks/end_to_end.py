@@ -13,10 +13,17 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.measuring import Case, Result, SkippedError, median, say, table, usable_cores
+from benchmarks.measuring import Case, Result, command_line, say, spread, table, usable_cores
 from benchmarks.peers import TRAINERS
+from benchmarks.processes import SkippedError
 from benchmarks.recording import record
 from benchmarks.runs import Run, dppo, peer, speed
+
+OURS = {
+    "dppo": (),
+    "dppo-full": ("--num-minibatches", "1", "--update-epochs", "10"),
+}
+"""Words behind the command; full: one minibatch per epoch, as the peers of that name."""
 
 
 def main() -> None:
@@ -53,7 +60,7 @@ def _compared(env: str, args: argparse.Namespace) -> list[Result]:
             case.close()
     figures = ("steps_per_second", "raw", "ratio", "first_step_seconds", "memory_mb")
     return [
-        {"env": env, "trainer": name, **{figure: median(found, figure) for figure in figures}}
+        {"env": env, "trainer": name, **{figure: spread(found, figure) for figure in figures}}
         for name, found in results.items()
         if found
     ]
@@ -72,7 +79,8 @@ def _raw(cases: list[Case]) -> float:
 def _trained(trainer: str, env: str, args: argparse.Namespace) -> Result:
     """Start it, let it train for a while, end it."""
     python = _python(trainer, args)
-    command = dppo(env) if trainer == "dppo" else peer(trainer, env, python)
+    ours = trainer in OURS
+    command = dppo(env, *OURS[trainer]) if ours else peer(trainer, env, python)
     with Run(command) as run:
         rows = run.trained(args.seconds)
         return {
@@ -90,8 +98,8 @@ def _python(trainer: str, args: argparse.Namespace) -> str:
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    names = ("dppo", *TRAINERS)
+    parser = command_line(__doc__)
+    names = (*OURS, *TRAINERS)
     parser.add_argument("--env", nargs="+", default=("Ant-v4", "HalfCheetah-v4"))
     parser.add_argument("--trainers", nargs="+", default=names, choices=names)
     parser.add_argument("--repeats", type=int, default=3)

@@ -1,4 +1,4 @@
-"""Milliseconds of one update's round, by number of workers: ours, ZeroMQ, shared memory, gloo.
+"""Milliseconds of one update's round by number of workers: socket pairs, Zenoh, and others.
 
 python -m benchmarks.exchange --workers 1 2 4 8 --python PEERS/bin/python
 """
@@ -7,7 +7,8 @@ import argparse
 import sys
 
 from benchmarks.exchange_cases import CASES
-from benchmarks.measuring import Case, Result, SkippedError, interleaved, median, say, table
+from benchmarks.measuring import Case, Result, command_line, interleaved, median, say, table
+from benchmarks.processes import SkippedError
 
 
 def main() -> None:
@@ -37,13 +38,15 @@ def _measured(workers: int, args: argparse.Namespace) -> Result:
             "skipped": skipped, "all": results,
         }
     )  # fmt: skip
-    ratio = times["dppo"] / times["zmq"] if {"dppo", "zmq"} <= times.keys() else None
     row: Result = {"workers": workers, **{f"{name}_ms": times.get(name) for name in args.cases}}
-    return row | {"dppo/zmq": ratio}
+    for one, other in (("pairs", "zenoh"), ("pairs", "zmq")):
+        both = {one, other} <= times.keys()
+        row[f"{one}/{other}"] = times[one] / times[other] if both else None
+    return row
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = command_line(__doc__)
     parser.add_argument("--workers", nargs="+", type=int, default=(1, 2, 4, 8))
     parser.add_argument("--cases", nargs="+", default=tuple(CASES), choices=tuple(CASES))
     parser.add_argument("--rounds", type=int, default=200, help="per repeat")

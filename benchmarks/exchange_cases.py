@@ -6,7 +6,6 @@ A round: the parameters of Ant-v4's networks go to every worker, a vector of the
 back from each, the sum is there. The workers are processes that compute nothing.
 """
 
-import json
 import multiprocessing
 import os
 import socket
@@ -40,62 +39,6 @@ def _port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-def dppo(workers: int) -> Round:
-    """Ours: `Exchange.gather` over Zenoh, with everything it checks, and the chief's sum."""
-    from dppo.leases import Leases
-    from dppo.sums import block_sum, whole
-    from dppo.wire.messages import Collect, Gradient, Update, Welcome
-    from dppo.wire.zenoh_links import ZenohLearnerLink
-    from learner.exchange import Exchange
-    from learner.local import free_address
-
-    config, address = config_of(workers), free_address()
-    link = ZenohLearnerLink(address)
-    _start(_dppo_worker, *((address, f"puppet-{number}") for number in range(workers)))
-    welcome = Welcome(run="exchange", generation=1, config=json.dumps(config.to_dict()))
-    exchange = Exchange(link, welcome, Leases(workers), lambda: None, lambda: _SIZE)
-    exchange.wait_for_environment()
-    parameters, slots = np.zeros(_SIZE, np.float32), tuple(range(workers))
-    same: Any = {"generation": 1, "iteration": 0, "slots": slots, "parameters": parameters}
-    one = np.zeros(3)
-    collect = Collect(
-        round=0, psi=0.1, beta=1.0, obs=np.zeros(55), returns=one, sigma_target=one, **same
-    )
-    complete = False
-    while not complete:  # until all have joined, and once more: slots are spread at the beginning
-        complete = exchange.num_workers == workers
-        exchange.begin_iteration(collect, {})
-        exchange.gather(collect, quorum=workers)
-    number = 0
-
-    def play() -> Float32:
-        nonlocal number
-        number += 1
-        update = Update(round=number, stopped=(), advantages=np.zeros(7), **same)
-        answers = exchange.gather(update, quorum=workers).answers
-        vectors = {
-            b: answer.vector for b, answer in answers.items() if isinstance(answer, Gradient)
-        }
-        return block_sum(vectors, whole(workers))
-
-    return play
-
-
-def _dppo_worker(address: str, name: str) -> None:
-    from dppo.wire.links import LearnerLost, Refused
-    from dppo.wire.zenoh_links import ZenohWorkerLink, open_connecting
-
-    while (session := open_connecting(address)) is None:
-        time.sleep(0.05)
-    link, puppet = ZenohWorkerLink(session, name), Puppet(name, _SIZE)
-    link.send(puppet.hello())
-    while not isinstance(message := link.receive(60.0), LearnerLost):
-        if message is not None and not isinstance(message, Refused):
-            for answer in puppet.answers(message):
-                link.send(answer)
-    os._exit(0)
 
 
 def zmq(workers: int) -> Round:
@@ -218,7 +161,25 @@ def _gloo_worker(port: int, rank: int, size: int) -> None:
         distributed.all_reduce(vector.clone())
 
 
-CASES = {"dppo": dppo, "zmq": zmq, "shared": shared, "gloo": gloo}
+def _ours(name: str) -> Callable[[int], Round]:
+    """A case of `exchange_ours`, imported late: a peer's interpreter need not have Zenoh."""
+
+    def case(workers: int) -> Round:
+        from benchmarks import exchange_ours
+
+        round_: Round = getattr(exchange_ours, name)(workers)
+        return round_
+
+    return case
+
+
+CASES: dict[str, Callable[[int], Round]] = {
+    "pairs": _ours("pairs"),
+    "zenoh": _ours("zenoh"),
+    "zmq": zmq,
+    "shared": shared,
+    "gloo": gloo,
+}
 
 
 def _prepared(case: str, workers: int, rounds: int) -> Callable[[], Result]:

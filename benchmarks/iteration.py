@@ -2,8 +2,9 @@
 
     python -m benchmarks.iteration --env Ant-v4
 
-A real learner and real workers over Zenoh, with timers around their functions (`stopwatch.py`).
-The timers cost about a microsecond a call, which shows in the cheapest physics only.
+A real learner and real workers on socket pairs, as a local run has them, with timers around their
+functions (`stopwatch.py`). The timers cost about a microsecond a call, which shows in the cheapest
+physics only.
 """
 
 import argparse
@@ -14,37 +15,53 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-from benchmarks.measuring import ONE_THREAD, Result, say, started, table, usable_cores
+from benchmarks.measuring import Result, command_line, say, table, usable_cores
+from benchmarks.processes import ONE_THREAD, started
 from benchmarks.puppets import config_of
 from benchmarks.stopwatch import REST, Place, Stopwatch
 
 WORKER: tuple[Place, ...] = (
     ("mujoco:mj_step", "physics"),
     ("mujoco:mj_rnePostConstraint", "physics"),
-    ("workers.mujoco_vec:MujocoVec.step", "observations"),
-    ("workers.generic_vec:GenericVec.step", "observations"),
-    ("workers.episodes:Episodes.step", "observations"),
+    ("workers.kinds:Kind.observe", "observations"),
+    ("workers.kinds:Kind.judge", "rewards"),
+    ("workers.mujoco_vec:MujocoVec._gather", "observations"),
+    ("workers.mujoco_vec:MujocoVec.step", "stepping"),
+    ("workers.generic_vec:GenericVec.step", "stepping"),
+    ("workers.episodes:Episodes.step", "stepping"),
     ("workers.episodes:Episodes.begin", "resets"),
     ("dppo.networks:Mlp.forward", "recording>inference"),
+    ("workers.slots:Slots._noise", "noise"),
     ("workers.slots:Slots.collect", "recording"),
     ("workers.slots:Slots.snapshot", "snapshots"),
     ("workers.worker:prepare", "advantages"),
     ("workers.worker:combine", "advantages"),
     ("workers.worker:block_gradient", "gradients"),
-    ("workers.worker:block_sum", "gradients"),
+    ("workers.worker:sum_rows", "gradients"),
+    ("workers.worker:Worker._update", "gradients"),
     ("workers.worker:slot_kl", "final KL"),
-    ("dppo.wire.zenoh_links:ZenohWorkerLink.send", "exchange"),
-    ("dppo.wire.inbox:decode", "exchange"),
-    ("dppo.wire.zenoh_links:ZenohWorkerLink.receive", "idle"),
 )
 LEARNER: tuple[Place, ...] = (
-    ("dppo.wire.zenoh_links:ZenohLearnerLink.send", "exchange"),
-    ("dppo.wire.inbox:decode", "exchange"),
-    ("dppo.wire.zenoh_links:ZenohLearnerLink.receive", "idle"),
     ("learner.exchange:Exchange.gather", "rounds"),
+    ("learner.local:LocalWorkers.look_after", "children"),
     ("learner.chief:block_sum", "sums"),
     ("learner.chief:Chief._change", "Adam"),
 )
+WIRE: tuple[Place, ...] = (
+    ("dppo.wire.channel:encode", "codec"),
+    ("dppo.wire.socket_links:decoded", "codec"),
+    ("dppo.wire.shared_bodies:SharedBodies.put", "copies"),
+    ("dppo.wire.shared_bodies:SharedBodies.take", "copies"),
+    ("dppo.wire.channel:Channel._next", "exchange"),
+)
+"""On both sides; the ends of the pair differ, and waiting for what arrives is `idle`."""
+LINKS: dict[str, tuple[Place, ...]] = {
+    side: (
+        (f"dppo.wire.socket_links:Socket{side}Link.send", "exchange"),
+        (f"dppo.wire.socket_links:Socket{side}Link.receive", "idle"),
+    )
+    for side in ("Learner", "Worker")
+}
 _WARM = 2
 """Iterations before timing begins: the first one does not learn."""
 
@@ -52,10 +69,13 @@ _WARM = 2
 def main() -> None:
     """Train a few iterations under timers."""
     args = _arguments()
-    if args.connect:
-        _work(args.connect, args.name)
+    if args.socket:
+        _work(args.socket, args.name)
+    if args.lead:
+        _lead(args)
     found = _measured(args)
-    labels = [label.rpartition(">")[2] for _, label in (*WORKER, *LEARNER)]
+    places = (*WORKER, *LEARNER, *WIRE, *LINKS["Learner"])
+    labels = [label.rpartition(">")[2] for _, label in places]
     rows: list[Result] = [{"ms per iteration": label} for label in dict.fromkeys([*labels, REST])]
     for name, times in found.items():
         total = sum(times.values())
@@ -67,19 +87,14 @@ def main() -> None:
 
 def _measured(args: argparse.Namespace) -> dict[str, dict[str, float]]:
     """Milliseconds per iteration by label, of the learner and of every worker."""
-    from learner.local import free_address
-
-    address = free_address()
-    workers = {f"worker-{number}": _started(address, number) for number in range(args.workers)}
-    try:
-        found = {"learner": _lead(address, args)}
-        for name, worker in workers.items():
-            found[name] = json.loads(worker.communicate(timeout=60)[0].splitlines()[-1])
-    finally:
-        for worker in workers.values():
-            worker.kill()
+    words = [sys.executable, "-m", "benchmarks.iteration", "--lead", "--env", args.env]
+    for name in ("workers", "slots", "iterations"):
+        words += [f"--{name}", str(getattr(args, name))]
+    with started(words, ONE_THREAD, stdout=subprocess.PIPE) as tree:
+        lines = tree.process.communicate()[0].splitlines()
+    found = dict(json.loads(line) for line in lines if line.startswith("["))
     times = {}
-    for name, (seconds, absent) in found.items():
+    for name, (seconds, absent) in sorted(found.items(), key=lambda item: item[0] != "learner"):
         times[name] = {label: 1000 * s / args.iterations for label, s in seconds.items()}
         say(
             {
@@ -90,30 +105,36 @@ def _measured(args: argparse.Namespace) -> dict[str, dict[str, float]]:
     return times
 
 
-def _started(address: str, number: int) -> subprocess.Popen[str]:
-    words = [sys.executable, "-m", "benchmarks.iteration", "--connect", address]
-    words += ["--name", f"worker-{number}"]
-    return started(words, ONE_THREAD, stdout=subprocess.PIPE)
+def _tell(name: str, watch: Stopwatch, absent: list[str]) -> None:
+    """One process's seconds by label, and the places that are not there, to `_measured`."""
+    print(json.dumps([name, [watch.read(), absent]]), flush=True)
 
 
-def _lead(address: str, args: argparse.Namespace) -> tuple[dict[str, float], list[str]]:
-    """The learner: seconds by label over the timed iterations, places that are not there."""
+def _lead(args: argparse.Namespace) -> None:
+    """The learner, which starts the workers."""
+    from benchmarks.pairs import Pairs, learner_link
     from dppo.leases import Leases
     from dppo.networks import Networks
+    from dppo.process import no_preemption
     from dppo.wire.messages import Welcome
-    from dppo.wire.zenoh_links import ZenohLearnerLink
     from learner.chief import Chief
     from learner.exchange import Exchange
+    from learner.local import free_address
     from learner.state import State
 
     watch = Stopwatch()
-    absent = watch.put_on(LEARNER)
+    absent = watch.put_on((*LEARNER, *WIRE, *LINKS["Learner"]))
+    no_preemption()
     config = config_of(args.slots)
     steps = config.rollout.samples * (_WARM + args.iterations) * 10
     config = replace(config, run=replace(config.run, env=args.env, total_timesteps=steps))
-    link = ZenohLearnerLink(address)
+    link = learner_link(free_address())
+    children = Pairs(link, args.workers, verbose=False, module="benchmarks.iteration")
     welcome = Welcome(run="iteration", generation=1, config=json.dumps(config.to_dict()))
-    exchange = Exchange(link, welcome, Leases(args.slots), lambda: None, lambda: networks.size)
+    exchange = Exchange(
+        link, welcome, Leases(args.slots), children.look_after, lambda: networks.size
+    )
+    children.start()
     spaces = exchange.wait_for_environment()
     networks = Networks.build(spaces, config)
     state = State.initial(networks, spaces.obs_size, config)
@@ -123,21 +144,23 @@ def _lead(address: str, args: argparse.Namespace) -> tuple[dict[str, float], lis
     watch.reset()
     for _ in range(args.iterations):
         chief.iterate()
-    seconds = watch.read()
+    _tell("learner", watch, absent)
     exchange.stop("the benchmark is over", final=True)
-    return seconds, absent
+    children.wait()
+    os._exit(0)
 
 
-def _work(address: str, name: str) -> None:
+def _work(descriptors: list[int], name: str) -> None:
     """One worker; prints its seconds by label at the end."""
-    from dppo.wire.zenoh_links import ZenohWorkerLink, open_connecting
+    from dppo.wire.socket_links import SocketWorkerLink
     from workers.envs import quiet
-    from workers.membership import Member, wait_for
+    from workers.membership import Member
     from workers.worker import Worker
 
+    link = SocketWorkerLink(descriptors, orphaned=lambda: os._exit(0))
     quiet()
     watch = Stopwatch()
-    absent = watch.put_on(WORKER)
+    absent = watch.put_on((*WORKER, *WIRE, *LINKS["Worker"]))
     perform = Worker.perform
 
     def begin_at_warm(worker: Worker, task: Any) -> None:  # noqa: ANN401  any task
@@ -146,23 +169,19 @@ def _work(address: str, name: str) -> None:
         perform(worker, task)
 
     Worker.perform = begin_at_warm  # type: ignore[method-assign, assignment]
-
-    def connect() -> ZenohWorkerLink | None:
-        session = open_connecting(address)
-        return None if session is None else ZenohWorkerLink(session, name)
-
-    Member(name, wait_for(connect, address, 60.0), 60.0).live()
-    print(json.dumps([watch.read(), absent]), flush=True)
+    Member(name, link, float("inf")).live()
+    _tell(name, watch, absent)
     os._exit(0)
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = command_line(__doc__)
     parser.add_argument("--env", default="Ant-v4")
     parser.add_argument("--workers", type=int, default=len(usable_cores()))
     parser.add_argument("--slots", type=int, default=8)
     parser.add_argument("--iterations", type=int, default=10)
-    parser.add_argument("--connect", default="", help=argparse.SUPPRESS)
+    parser.add_argument("--lead", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--socket", nargs="+", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--name", default="", help=argparse.SUPPRESS)
     return parser.parse_args()
 

@@ -5,6 +5,8 @@ stdin. Processes, because what is measured changes process-wide things (MuJoCo's
 and because peers may live in another virtual environment.
 """
 
+import argparse
+import contextlib
 import json
 import os
 import statistics
@@ -14,31 +16,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).parents[1]
+from benchmarks.processes import ONE_THREAD, SkippedError, started
+
 Result = dict[str, Any]
-ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Environment of processes that are given one core each."""
-
-
-class SkippedError(Exception):
-    """The case cannot be measured here: a sentence that says why."""
-
-
-def started(
-    words: Sequence[str],
-    environment: Mapping[str, str],
-    **options: Any,  # noqa: ANN401  of Popen
-) -> subprocess.Popen[str]:
-    """A process in this checkout.
-
-    Raises:
-        SkippedError: there is no such program.
-    """
-    env = os.environ | environment | {"PYTHONPATH": str(ROOT)}
-    try:
-        return subprocess.Popen(words, cwd=ROOT, env=env, text=True, **options)
-    except OSError as error:
-        raise SkippedError(f"{words[0]} cannot be started: {error}") from error
+_FORCED_BLAS = "OPENBLAS_CORETYPE", "OPENBLAS_L2_SIZE"
 
 
 class Case:
@@ -56,7 +37,8 @@ class Case:
             SkippedError: the process says that it cannot measure, or does not start.
         """
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
-        self._process = started([python, "-m", *words], ONE_THREAD, **pipes)
+        self._tree = started([python, "-m", *words], ONE_THREAD, **pipes)
+        self._process = self._tree.process
         if core is not None:
             os.sched_setaffinity(self._process.pid, {core})
         ready = self.finish()
@@ -85,14 +67,14 @@ class Case:
         return self.finish()
 
     def close(self) -> None:
-        """End the process: nothing more comes on its stdin."""
+        """End the process, and whatever it has started: nothing more comes on its stdin."""
         assert self._process.stdin is not None
-        self._process.stdin.close()
         try:
-            self._process.wait(timeout=10)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            self._process.stdin.close()
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                self._process.wait(timeout=10)
+        finally:
+            self._tree.end()
 
 
 def serve(prepare: Callable[[], Callable[[], Result]]) -> None:
@@ -123,6 +105,12 @@ def median(results: Iterable[Result], name: str) -> float:
     return statistics.median(float(result[name]) for result in results)
 
 
+def spread(results: Iterable[Result], name: str) -> str:
+    """Median, smallest and largest of one figure over the repeats, for a table."""
+    values = [float(result[name]) for result in results]
+    return f"{_cell(statistics.median(values))} [{_cell(min(values))} .. {_cell(max(values))}]"
+
+
 def usable_cores() -> list[int]:
     """Numbers of the cores that this process may use."""
     return sorted(os.sched_getaffinity(0))
@@ -137,20 +125,25 @@ def rss_mb(pid: int) -> float:
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def family(pid: int) -> list[int]:
-    """A process and its living descendants."""
-    parents = {}
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text().rpartition(")")[2].split()
-        except OSError:
-            continue
-        if fields[0] != "Z":
-            parents[int(stat.parent.name)] = int(fields[1])
-    found = [pid]
-    for member in found:  # grows while it is walked
-        found += [child for child, parent in parents.items() if parent == member]
-    return found
+def command_line(doc: str | None) -> argparse.ArgumentParser:
+    """A command line with the flags that all benchmarks have."""
+    parser = argparse.ArgumentParser(description=(doc or "").partition("\n")[0])
+    parser.add_argument(
+        "--default-blas",
+        action=_DefaultBlas,
+        nargs=0,
+        help=f"without {' and '.join(_FORCED_BLAS)}, for ours and all peers",
+    )
+    return parser
+
+
+class _DefaultBlas(argparse.Action):
+    """Run again without the variables: NumPy has read them already."""
+
+    def __call__(self, *_: object) -> None:
+        forced = [name for name in _FORCED_BLAS if os.environ.pop(name, None)]
+        if forced:
+            os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
 
 
 def say(record: Result) -> None:

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.measuring import Result, family, rss_mb, say, table
+from benchmarks.measuring import Result, command_line, rss_mb, say, table
+from benchmarks.processes import family
 from benchmarks.runs import Run, dppo
 
 
@@ -59,7 +60,7 @@ def _row(name: str, samples: np.ndarray) -> Result:
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = command_line(__doc__)
     parser.add_argument("--env", default="Ant-v4")
     parser.add_argument("--minutes", type=float, default=60.0)
     parser.add_argument("--interval", type=float, default=2.0, help="between samples [s]")

@@ -1,8 +1,6 @@
 """Training runs as a user starts them, and what they have reached so far."""
 
 import json
-import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -11,7 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
-from benchmarks.measuring import SkippedError, family, rss_mb, started
+from benchmarks.measuring import rss_mb
+from benchmarks.processes import SkippedError, family, started
 
 Row = dict[str, float]
 STEPS, TIME = "time/total_timesteps", "time"
@@ -20,14 +19,18 @@ STEPS, TIME = "time/total_timesteps", "time"
 class Run:
     """One trainer at work in a folder of its own; a context manager that ends it."""
 
-    def __init__(self, command: Callable[[Path], list[str]]) -> None:
-        """`command` is told the file that the trainer appends its rows to."""
+    def __init__(self, command: Callable[[Path], list[str]], patience: float = 10.0) -> None:
+        """`command` is told the file that the trainer appends its rows to.
+
+        `patience`: how long it may take to end by itself [s].
+        """
+        self._patience = patience
         self._folder = tempfile.TemporaryDirectory(ignore_cleanup_errors=True)
         self.marks = Path(self._folder.name) / "run" / "metrics.jsonl"
         self.output = Path(self._folder.name) / "output.txt"
         self.begun = time.time()
         with self.output.open("w") as output:
-            self.process = started(
+            self._tree = started(
                 command(self.marks),
                 {},
                 stdin=subprocess.DEVNULL,
@@ -35,19 +38,17 @@ class Run:
                 stderr=subprocess.STDOUT,
                 start_new_session=True,
             )
+        self.process = self._tree.process
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """As a user would, and then for certain."""
-        self.process.send_signal(signal.SIGTERM)
+        """As a user would, and then for certain: nothing that it has started is left."""
         try:
-            self.process.wait(timeout=10)
-        except subprocess.TimeoutExpired:
-            os.killpg(self.process.pid, signal.SIGKILL)
-            self.process.wait()
-        self._folder.cleanup()
+            self._tree.end(self._patience)
+        finally:
+            self._folder.cleanup()
 
     @property
     def memory_mb(self) -> float:

@@ -11,7 +11,15 @@ import argparse
 import json
 from dataclasses import replace
 
-from benchmarks.measuring import Result, interleaved, median, say, table, usable_cores
+from benchmarks.measuring import (
+    Result,
+    command_line,
+    interleaved,
+    median,
+    say,
+    table,
+    usable_cores,
+)
 from benchmarks.puppets import SPACES, Puppet, config_of, networks_of
 from benchmarks.runs import Run, dppo, speed
 from benchmarks.stopwatch import REST, Place, Stopwatch
@@ -125,7 +133,7 @@ def _chief(slots: int, iterations: int, watch: Stopwatch) -> Result:
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = command_line(__doc__)
     parser.add_argument("--env", default="Ant-v4")
     cores = len(usable_cores())
     parser.add_argument("--workers", nargs="*", type=int, default=tuple(range(1, cores + 1)))

@@ -12,7 +12,8 @@ import subprocess
 import sys
 import time
 
-from benchmarks.measuring import ROOT, Result, interleaved, median, say, table
+from benchmarks.measuring import Result, command_line, interleaved, median, say, table
+from benchmarks.processes import ROOT
 from benchmarks.runs import TIME, Run, dppo
 
 _DEADLINE = 120.0
@@ -65,7 +66,7 @@ def _started(env: str) -> Result:
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = command_line(__doc__)
     parser.add_argument("--env", nargs="+", default=("Ant-v4",))
     parser.add_argument("--repeats", type=int, default=5)
     return parser.parse_args()

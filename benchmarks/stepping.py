@@ -13,13 +13,14 @@ from pathlib import Path
 from benchmarks.measuring import (
     Case,
     Result,
-    SkippedError,
+    command_line,
     interleaved,
     median,
     say,
     table,
     usable_cores,
 )
+from benchmarks.processes import SkippedError
 from benchmarks.recording import ActionKind, record
 from benchmarks.stepping_cases import CASES
 
@@ -73,7 +74,7 @@ def _measured(env: str, actions: ActionKind, args: argparse.Namespace) -> Result
 
 
 def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser = command_line(__doc__)
     parser.add_argument("--env", nargs="+", default=ENVS, help="Gymnasium ids")
     parser.add_argument("--actions", nargs="+", default=("mild", "random"))
     parser.add_argument("--cases", nargs="+", default=tuple(CASES), choices=tuple(CASES))

@@ -17,7 +17,8 @@ import mujoco
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from benchmarks.measuring import Result, SkippedError, serve
+from benchmarks.measuring import Result, serve
+from benchmarks.processes import SkippedError
 from benchmarks.recording import Recording, quiet, seeds, sync_vector
 
 _LOOP = """

@@ -61,14 +61,31 @@ class Stopwatch:
         return run
 
     def put_on(self, places: Sequence[Place]) -> list[str]:
-        """Wrap the functions; the places that are not there in this version."""
+        """Wrap the functions, and what overrides them in subclasses that have been imported.
+
+        Returns:
+            The places that are not there in this version.
+        """
         absent = []
         for place, label in places:
             module, _, path = place.partition(":")
             *owners, name = path.split(".")
             try:
                 owner = reduce(getattr, owners, importlib.import_module(module))
-                setattr(owner, name, self.timed(getattr(owner, name), label))
+                for each in [owner, *_overriding(owner, name)]:
+                    setattr(each, name, self.timed(getattr(each, name), label))
             except (ImportError, AttributeError):
                 absent.append(place)
         return absent
+
+
+def _overriding(owner: Any, name: str) -> list[type]:  # noqa: ANN401  a module or a class
+    """All subclasses with a function of that name of their own."""
+    if not isinstance(owner, type):
+        return []
+    return [sub for sub in dict.fromkeys(_below(owner)) if name in vars(sub)]
+
+
+def _below(owner: type) -> list[type]:
+    direct: list[type] = owner.__subclasses__()
+    return [each for sub in direct for each in (sub, *_below(sub))]

@@ -1,0 +1,56 @@
+"""Workers of the benchmarks on socket pairs, started and looked after as the learner does it."""
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from benchmarks.puppets import Puppet
+from dppo.wire.links import LearnerLost, Refused, WorkerLink
+from dppo.wire.socket_links import Alarm, SocketLearnerLink
+from dppo.wire.zenoh_links import ZenohLearnerLink
+from learner.local import LocalWorkers, _Child
+
+Serve = Callable[[str, WorkerLink], None]
+
+
+def learner_link(address: str) -> SocketLearnerLink:
+    """The link of a learner that listens at `address` for workers that it has not started."""
+    alarm = Alarm()
+    return SocketLearnerLink(ZenohLearnerLink(address, alarm.ring), alarm)
+
+
+@dataclass(slots=True)
+class Pairs(LocalWorkers):
+    """The learner's own `LocalWorkers` with another module in place of `workers`."""
+
+    module: str = ""
+
+    def wait(self) -> None:
+        """Until all have ended by themselves."""
+        for child in self._children.values():
+            child.process.wait(timeout=60)
+
+    def _spawn(self, index: int, restart: int) -> _Child:
+        name = f"local-{index}" + (f"-{restart}" if restart else "")
+        inherited = self.link.adopt(name)
+        descriptors = [str(descriptor) for descriptor in inherited.descriptors]
+        process = subprocess.Popen(
+            [sys.executable, "-m", self.module, "--name", name, "--socket", *descriptors],
+            stdin=subprocess.DEVNULL,
+            pass_fds=inherited.descriptors,
+            start_new_session=True,
+        )
+        inherited.close()
+        return _Child(name, process, time.monotonic())
+
+
+def serve_puppet(name: str, link: WorkerLink, size: int) -> None:
+    """Answer like a worker that has nothing to compute, until the learner is gone."""
+    puppet = Puppet(name, size)
+    link.send(puppet.hello())
+    while not isinstance(message := link.receive(60.0), LearnerLost):
+        if message is not None and not isinstance(message, Refused):
+            for answer in puppet.answers(message):
+                link.send(answer)
