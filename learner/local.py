@@ -18,6 +18,7 @@ _TROUBLE_SECONDS = 5.0
 """A worker that dies younger than this counts as one that cannot start."""
 _END_SECONDS = 3.0
 _STOPPED_SECONDS = 2.0
+_LOOK_SECONDS = 0.2
 
 
 def free_address() -> str:
@@ -50,6 +51,7 @@ class LocalWorkers:
     _children: dict[int, _Child] = field(default_factory=dict)
     _deaths: int = 0
     _spawned: int = 0
+    _look_again: float = 0.0
 
     def start(self) -> None:
         """Start all of them."""
@@ -62,6 +64,10 @@ class LocalWorkers:
         Raises:
             RunFailedError: they die again and again, or as soon as they start.
         """
+        now = time.monotonic()
+        if now < self._look_again:
+            return  # asked in every round, which may be a thousand times a second
+        self._look_again = now + _LOOK_SECONDS
         for index, child in self._children.items():
             if child.process.poll() is None and not self._is_stopped(child):
                 continue
