@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from benchmarks.pairs import Pairs, learner_link, serve_puppet
 from benchmarks.puppets import config_of, networks_of
 from dppo.leases import Leases
-from dppo.process import no_preemption
 from dppo.sums import block_sum, whole
 from dppo.wire.messages import Collect, Gradient, Update, Welcome
 from dppo.wire.socket_links import SocketLearnerLink, SocketWorkerLink
@@ -32,7 +31,6 @@ SIZE = networks_of(config_of(1)).size
 
 def pairs(workers: int) -> Callable[[], Float32]:
     """Workers that the learner has started: socket pairs and shared memory."""
-    no_preemption()  # as dppo-learner, before it starts them
     link = learner_link(free_address())
     children = Pairs(link, workers, verbose=False, module="benchmarks.exchange_ours")
     children.start()
@@ -44,7 +42,6 @@ def zenoh(workers: int) -> Callable[[], Float32]:
     address = free_address()
     for number in range(workers):
         SPAWN.Process(target=_connect, args=(address, f"puppet-{number}"), daemon=True).start()
-    no_preemption()
     return _round(workers, learner_link(address), lambda: None)
 
 

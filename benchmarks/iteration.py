@@ -115,7 +115,6 @@ def _lead(args: argparse.Namespace) -> None:
     from benchmarks.pairs import Pairs, learner_link
     from dppo.leases import Leases
     from dppo.networks import Networks
-    from dppo.process import no_preemption
     from dppo.wire.messages import Welcome
     from learner.chief import Chief
     from learner.exchange import Exchange
@@ -124,7 +123,6 @@ def _lead(args: argparse.Namespace) -> None:
 
     watch = Stopwatch()
     absent = watch.put_on((*LEARNER, *WIRE, *LINKS["Learner"]))
-    no_preemption()
     config = config_of(args.slots)
     steps = config.rollout.samples * (_WARM + args.iterations) * 10
     config = replace(config, run=replace(config.run, env=args.env, total_timesteps=steps))

@@ -1,6 +1,5 @@
 """What all commands share: threads, command line, log lines, exit codes."""
 
-import contextlib
 import importlib.util
 import logging
 import os
@@ -24,17 +23,6 @@ def one_thread() -> None:
     """One thread per process, before NumPy is imported: same shapes, same bits, no fighting."""
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
-
-
-def no_preemption() -> None:
-    """Let whoever computes compute on: this process and its children wait for a free core.
-
-    Learner and workers wake each other a thousand times a second, and a learner that is woken by
-    the first gradient would stop the worker that computes the second (docs/performance.md).
-    """
-    if hasattr(os, "SCHED_BATCH"):
-        with contextlib.suppress(OSError):  # a sandbox may forbid it
-            os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
 
 
 def no_window() -> None:

@@ -76,11 +76,10 @@ class LearnerArgs(Config):
 
 def main(argv: list[str] | None = None) -> None:
     """Run one learner; exit code 0: done or stopped, 1: failed, 2: wrong usage."""
-    from dppo.process import leave, no_preemption, one_thread, parse, start_logging
+    from dppo.process import leave, one_thread, parse, start_logging
     from learner.arguments import defaults, normalised
 
     one_thread()
-    no_preemption()
     arguments = normalised(sys.argv[1:] if argv is None else argv, _ALIASES, _WHOLE_NUMBERS)
 
     def work() -> int:
