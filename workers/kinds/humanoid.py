@@ -12,8 +12,8 @@ from workers.kinds.kind import (
     Judgement,
     Kind,
     State,
+    motion,
     never,
-    norm,
     square_sum,
 )
 
@@ -91,11 +91,7 @@ class HumanoidV4(_Body):
             "reward_linvel": forward,
             "reward_quadctrl": -cost,
             "reward_alive": alive,
-            "x_position": xy[:, 0],
-            "y_position": xy[:, 1],
-            "distance_from_origin": norm(xy),
-            "x_velocity": velocity[:, 0],
-            "y_velocity": velocity[:, 1],
+            **motion(xy, velocity),
             "forward_reward": forward,
         }
         terminated = ~healthy & env._terminate_when_unhealthy
@@ -129,12 +125,8 @@ class HumanoidV5(_BodyV5, HumanoidV4):
             env._contact_cost_weight * square_sum(now["cfrc_ext"]), *env._contact_cost_range
         )
         info = {
-            "x_position": xy[:, 0],
-            "y_position": xy[:, 1],
+            **motion(xy, velocity),
             **self._tendons(now),
-            "distance_from_origin": norm(xy),
-            "x_velocity": velocity[:, 0],
-            "y_velocity": velocity[:, 1],
             "reward_survive": alive,
             "reward_forward": forward,
             "reward_ctrl": -ctrl_cost,

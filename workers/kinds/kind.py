@@ -78,6 +78,17 @@ def clipped(values: Float64, low: float, high: float) -> Float64:
     return result
 
 
+def motion(xy: Float64, velocity: Float64) -> dict[str, Array]:
+    """What `info` tells of a body's place and velocity in the plane, each [n, 2]."""
+    return {
+        "x_position": xy[:, 0],
+        "y_position": xy[:, 1],
+        "distance_from_origin": norm(xy),
+        "x_velocity": velocity[:, 0],
+        "y_velocity": velocity[:, 1],
+    }
+
+
 def never(action: Array) -> NDArray[np.bool_]:
     """[n] no episode terminates."""
     return np.zeros(len(action), np.bool_)

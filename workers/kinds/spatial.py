@@ -14,8 +14,8 @@ from workers.kinds.kind import (
     State,
     body,
     clipped,
+    motion,
     never,
-    norm,
     square_sum,
 )
 
@@ -56,11 +56,7 @@ class AntV4(Kind):
             "reward_forward": forward,
             "reward_ctrl": -ctrl_cost,
             "reward_survive": alive,
-            "x_position": xy[:, 0],
-            "y_position": xy[:, 1],
-            "distance_from_origin": norm(xy),
-            "x_velocity": velocity[:, 0],
-            "y_velocity": velocity[:, 1],
+            **motion(xy, velocity),
             "forward_reward": forward,
         }
         if self.forces:
@@ -106,11 +102,7 @@ class AntV5(AntV4):
         ctrl_cost = env._ctrl_cost_weight * square_sum(action)
         contact_cost = env._contact_cost_weight * square_sum(self._contact_forces(now))
         info = {
-            "x_position": xy[:, 0],
-            "y_position": xy[:, 1],
-            "distance_from_origin": norm(xy),
-            "x_velocity": velocity[:, 0],
-            "y_velocity": velocity[:, 1],
+            **motion(xy, velocity),
             "reward_forward": forward,
             "reward_ctrl": -ctrl_cost,
             "reward_contact": -contact_cost,
@@ -136,11 +128,7 @@ class SwimmerV4(Kind):
         forward = self.env._forward_reward_weight * velocity[:, 0]
         cost = self.env._ctrl_cost_weight * square_sum(action)
         info = {
-            "x_position": xy[:, 0],
-            "y_position": xy[:, 1],
-            "distance_from_origin": norm(xy),
-            "x_velocity": velocity[:, 0],
-            "y_velocity": velocity[:, 1],
+            **motion(xy, velocity),
             **self._parts(forward, cost),
         }
         return Judgement(forward - cost, never(action), info)
