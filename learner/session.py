@@ -22,6 +22,7 @@ from dppo.store.checkpoint import (
     save_checkpoint,
     sha256,
 )
+from dppo.store.contents import SNAPSHOT_FORM, check_snapshots
 from dppo.store.run_directory import RunDirectory
 from dppo.wire.links import LearnerLink
 from dppo.wire.messages import Welcome
@@ -73,6 +74,7 @@ class Session:
             self._write_config(networks)
         else:
             self._check_environment()
+            check_snapshots(checkpoint)
             self.state = State.from_checkpoint(checkpoint)
             self._saved = self.state.iteration
             log.warning("resuming at iteration %d of %d", self._saved, self._config.iterations)
@@ -160,6 +162,7 @@ class Session:
             "env_steps": state.iteration * self._config.rollout.samples,
             "parameters_sha256": sha256(state.parameters),
             "spaces": self._spaces(),
+            "snapshots": SNAPSHOT_FORM,
         }
         save_checkpoint(folder, name, state.to_checkpoint(facts))
         if len(state.episodes) and state.mean_return >= state.best_mean:
