@@ -93,13 +93,13 @@ class LocalWorkers:
             )
 
     def _is_stopped(self, child: "_Child") -> bool:
-        """Stopped (SIGSTOP, a debugger) at every look for two seconds; where /proc tells."""
+        """Stopped by a signal at every look for two seconds, as /proc tells; not by a debugger."""
         try:
             stat = Path(f"/proc/{child.process.pid}/stat").read_text()
         except OSError:
             return False
         now = time.monotonic()
-        if stat.rpartition(")")[2].split()[0] not in "Tt":
+        if stat.rpartition(")")[2].split()[0] != "T":
             child.stopped = None
         elif child.stopped is None:
             child.stopped = now
