@@ -23,8 +23,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from dppo.process import THREAD_VARIABLES
+
 ROOT = Path(__file__).parents[1]
-ONE_THREAD = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+ONE_THREAD = dict.fromkeys(THREAD_VARIABLES, "1")
 """Environment of processes that are given one core each."""
 _MARK = "DPPO_BENCHMARK"
 _OUTER = os.environ.get(_MARK, "")

@@ -206,7 +206,7 @@ def _policy_gradient(
     ratio = np.exp(log_prob - columns.log_prob_old(table))
     gain = ratio * columns.advantage(table)
     weight = kl_weight(kl, beta, config.kl).astype(np.float32)
-    skips = (kl > config.kl.kl_stop * config.kl.kl_target) & (config.kl.kl_scope == "worker")
+    stopped = (kl > config.kl.kl_stop * config.kl.kl_target) & (config.kl.kl_scope == "worker")
 
     d_log_prob, d_log_prob_std = distribution.log_prob_gradient(output, log_std, action)
     d_kl, d_kl_std = distribution.kl_gradient(old, old_log_std, output, log_std)
@@ -217,13 +217,13 @@ def _policy_gradient(
     if networks.log_std_size:
         slope = w * d_kl_std - g * d_log_prob_std
         gradient[:, networks.policy.size :] = (row_of_ones(count) @ slope)[:, 0]
-    gradient[skips] = 0.0
+    gradient[stopped] = 0.0
     facts = np.zeros((len(rows), len(_COLUMN)))
-    facts[:, _COLUMN["policy_weight"]] = np.where(skips, 0.0, count)
+    facts[:, _COLUMN["policy_weight"]] = np.where(stopped, 0.0, count)
     facts[:, _COLUMN["kl_weight"]] = count
     facts[:, _COLUMN["kl"]] = kl_sums
     objective = policy_objective(gain, kl, beta, config.kl) * count
-    facts[:, _COLUMN["objective"]] = np.where(skips, 0.0, objective)
+    facts[:, _COLUMN["objective"]] = np.where(stopped, 0.0, objective)
     return facts
 
 

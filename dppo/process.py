@@ -13,6 +13,8 @@ from typing import NoReturn, TypeVar
 from dppo.errors import DppoError, UsageError
 
 Args = TypeVar("Args")
+THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+"""What numeric libraries read, once, when they are imported."""
 
 
 class Terminated(BaseException):
@@ -21,7 +23,7 @@ class Terminated(BaseException):
 
 def one_thread() -> None:
     """One thread per process, before NumPy is imported: same shapes, same bits, no fighting."""
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    for name in THREAD_VARIABLES:
         os.environ[name] = "1"
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+ROOT = Path(__file__).parents[1]
 DEADLINE = 120.0
 """Longest wait for one fact [s]; only a broken run takes it."""
 SMALL = (
@@ -127,3 +128,18 @@ def state_of(pid: int) -> str:
 
 def is_alive(pid: int) -> bool:
     return state_of(pid) not in ("", "Z")
+
+
+def printed(*words: str | Path) -> str:
+    """What a Python process prints; it has to succeed."""
+    done = subprocess.run(
+        [sys.executable, *map(str, words)],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from dppo.config import Config, RunConfig
 from dppo.errors import RunFailedError
+from dppo.process import THREAD_VARIABLES
 from workers.envs import make_env, make_vec, quiet, spaces_of
 
 Ends = list[NDArray[np.bool_]]
@@ -31,7 +32,6 @@ _ROWS = (1, 2, 4, 8, 16)
 _CYCLE = 256
 """Steps after which the actions repeat."""
 _WAIT_SECONDS = 60.0
-_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
@@ -245,4 +245,4 @@ def _inherited() -> dict[str, str]:
     except OSError:
         return {}
     found = dict(word.partition("=")[::2] for word in words)
-    return {name: found[name] for name in _THREADS if found.get(name, "1") != "1"}
+    return {name: found[name] for name in THREAD_VARIABLES if found.get(name, "1") != "1"}

@@ -1,34 +1,20 @@
 """Every benchmark, as a person runs it, as small as it goes: it prints JSON lines and a table."""
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.support import printed
 
 
 def lines(module: str, *words: str) -> list[dict[str, Any]]:
     """The JSON lines that a benchmark prints; it has to succeed."""
-    done = subprocess.run(
-        [sys.executable, "-m", f"benchmarks.{module}", *words],
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    printed = done.stdout.splitlines()
-    found = [json.loads(line) for line in printed if line.startswith("{")]
+    text = printed("-m", f"benchmarks.{module}", *words).splitlines()
+    found = [json.loads(line) for line in text if line.startswith("{")]
     assert found
     assert {line["benchmark"] for line in found} == {module}
-    assert not printed[-1].startswith("{")  # the table comes last
+    assert not text[-1].startswith("{")  # the table comes last
     return found
 
 

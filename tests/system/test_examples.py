@@ -1,35 +1,18 @@
 """The examples, each as a person runs it: a process, and what it prints."""
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+from tests.support import ROOT, printed
+
 EXAMPLES = ROOT / "examples"
-
-
-def run(*words: str | Path) -> str:
-    """What a Python process prints; it has to succeed."""
-    done = subprocess.run(
-        [sys.executable, *map(str, words)],
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
 
 
 def test_the_chain_has_the_variance_of_its_closed_form():
     rows = re.findall(
-        r"s_\d +([\d.]+) +([\d.]+) +([\d.]+)", run(EXAMPLES / "variance_of_a_chain.py")
+        r"s_\d +([\d.]+) +([\d.]+) +([\d.]+)", printed(EXAMPLES / "variance_of_a_chain.py")
     )
     found = [tuple(map(float, row)) for row in rows]
     # γ = 0.9, stds 1, 2, 3: 9, then 4 + 0.81 x 9, then 1 + 0.81 x 11.29
@@ -41,7 +24,7 @@ def test_the_chain_has_the_variance_of_its_closed_form():
 
 @pytest.mark.slow
 def test_four_rooms_shows_what_the_penalty_is_worth():
-    text = run(EXAMPLES / "four_rooms.py", "4")
+    text = printed(EXAMPLES / "four_rooms.py", "4")
     rows = re.findall(r"^psi (0|0\.25) +([\d.]+) +([\d.]+)$", text, re.MULTILINE)
     optimum = [(float(value), float(variance)) for _, value, variance in rows[:2]]
     assert optimum == [(45.85, 122.70), (44.72, 11.26)]
@@ -54,7 +37,7 @@ def test_four_rooms_shows_what_the_penalty_is_worth():
 
 @pytest.mark.slow
 def test_one_process_prints_the_same_lines_for_any_number_of_workers():
-    two, three = (run(EXAMPLES / "one_process.py", number) for number in ("2", "3"))
+    two, three = (printed(EXAMPLES / "one_process.py", number) for number in ("2", "3"))
     assert two == three
     assert re.search(r"parameters_sha256 [0-9a-f]{64}\n$", two)
     returns = [float(value) for value in re.findall(r"return ([\d.]+)", two)]
@@ -66,9 +49,9 @@ def test_one_process_prints_the_same_lines_for_any_number_of_workers():
 def test_a_policy_is_loaded_from_the_run_directory_that_training_left(tmp_path: Path):
     folder = tmp_path / "run"
     settings = "--env InvertedPendulum-v5 --total-timesteps 2048 --num-steps 64 --update-epochs 1"
-    run("-m", "learner", *settings.split(), "--run-dir", folder)
+    printed("-m", "learner", *settings.split(), "--run-dir", folder)
 
-    text = run(EXAMPLES / "load_a_policy.py", folder)
+    text = printed(EXAMPLES / "load_a_policy.py", folder)
 
     assert re.search(r"^iteration-\d{8} of .*: trained for (1024|2048) steps$", text, re.MULTILINE)
     played = re.search(r"one episode: (\d+) steps, return ([\d.]+)", text)
