@@ -1,15 +1,13 @@
 """Asks all slots something and gathers the answers, whoever holds them, whatever dies meanwhile.
 
 The rules are in `dppo.rounds` and `dppo.leases`; this file feeds them with what arrives and
-carries out what they say. A worker that is lost costs one redo of its slots: their heirs restore
-the slots' environments, collect the iteration again, and join at the present question.
+carries out what they say. A worker that is lost costs one redo of its slots (`questions.py`).
 """
 
 import logging
 import re
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 from dppo.errors import RunFailedError, UsageError
 from dppo.leases import Leases
@@ -26,12 +24,12 @@ from dppo.wire.messages import (
     Measure,
     Measured,
     Ready,
-    Restore,
     Stop,
     Task,
     Update,
     Welcome,
 )
+from learner.questions import Questions
 from learner.roster import Roster, spaces_in
 from learner.soundness import block_of, is_finite, shape_objection
 
@@ -40,14 +38,6 @@ _TICK = 0.25
 """Longest wait for one event [s]; children and signals are looked after in between."""
 _REMARK_SECONDS = 10.0
 _ANSWER_TO = {Collect: Collected, Update: Gradient, Measure: Measured}
-
-
-@dataclass(slots=True)
-class _Busy:
-    """The newest question a worker has been asked, and the slots it still owes answers for."""
-
-    id: RoundId
-    slots: set[int]
 
 
 class Exchange:
@@ -67,11 +57,7 @@ class Exchange:
         self.roster = Roster()
         self.exact = True
         """No slot has lost a bit on a move."""
-        self._busy: dict[str, _Busy] = {}
-        self._collect: Collect | None = None
-        self._snapshots: dict[int, bytes] = {}
-        self._task: Task | None = None
-        self._round: Round[Answer] | None = None
+        self._questions = Questions(link, leases)
 
     @property
     def num_workers(self) -> int:
@@ -90,7 +76,7 @@ class Exchange:
 
     def begin_iteration(self, collect: Collect, snapshots: dict[int, bytes]) -> None:
         """Spread the slots anew; remember what a lost slot has to be started from."""
-        self._collect, self._snapshots = collect, snapshots
+        self._questions.begin_iteration(collect, snapshots)
         self._leases.spread()
         if self._leases.spares and collect.iteration % 100 == 1:
             spares, slots = len(self._leases.spares), self._leases.num_slots
@@ -99,20 +85,17 @@ class Exchange:
     def gather(self, task: Task, quorum: int) -> Round[Answer]:
         """Ask all slots, wait until the quorum is in, take what else is there; the round."""
         self._look_after()
-        round_id = RoundId(task.generation, task.iteration, task.round)
-        self._task, self._round = task, Round(round_id, task.slots, quorum)
-        for worker in list(self._leases.workers):
-            self._ask(worker, self._leases.slots_of(worker))
+        round_ = self._questions.open(task, quorum)
         begun = remarked = time.monotonic()
-        while not self._round.may_close:
+        while not round_.may_close:
             self._handle(_TICK)
             if time.monotonic() - remarked > _REMARK_SECONDS:
                 remarked = time.monotonic()
-                log.warning("%s, for %.0f s", self._waiting_for(), remarked - begun)
-        while self._round.missing and self._handle(0.0):
+                log.warning("%s, for %.0f s", self._waiting_for(round_), remarked - begun)
+        while round_.missing and self._handle(0.0):
             pass
-        closed, self._round = self._round, None
-        return closed
+        self._questions.close()
+        return round_
 
     def stop(self, reason: str, final: bool) -> None:
         """Tell every worker that the run is over, or that this learner pauses."""
@@ -159,19 +142,17 @@ class Exchange:
             return
         taken = self._leases.join(ready.worker)
         log.info("worker %s joined, %d in the run", ready.worker, self.num_workers)
-        if self._round is not None:
-            self._ask(ready.worker, taken)
+        self._questions.ask(ready.worker, taken)
 
     def _lose(self, worker: str, why: str) -> None:
         self.roster.forget(worker)
-        self._busy.pop(worker, None)
+        self._questions.forget(worker)
         if worker not in self._leases.workers:
             return
         heirs = self._leases.leave(worker)
         log.info("worker %s left: %s; %d in the run", worker, why, self.num_workers)
-        if self._round is not None:
-            for heir, slots in heirs.items():
-                self._ask(heir, slots)
+        for heir, slots in heirs.items():
+            self._questions.ask(heir, slots)
 
     def _expel(self, worker: str, reason: str) -> None:
         log.warning("%s; it is sent away", reason)
@@ -191,76 +172,25 @@ class Exchange:
 
     # questions and answers
 
-    def _ask(self, worker: str, slots: tuple[int, ...]) -> None:
-        """Put the present question to a worker, for those of `slots` that have not answered."""
-        assert self._task is not None
-        assert self._round is not None
-        assert self._collect is not None
-        missing = set(self._round.missing)
-        wanted = tuple(slot for slot in slots if slot in missing)
-        busy = self._busy.get(worker)
-        if not wanted or (busy is not None and busy.slots and busy.id != self._round.id):
-            return  # a late worker is asked again when it has answered
-        lacking = tuple(slot for slot in wanted if slot not in self._leases.current)
-        for slot in lacking:
-            if slot in self._snapshots:
-                self._link.send(
-                    worker,
-                    Restore(
-                        generation=self._welcome.generation,
-                        iteration=self._collect.iteration,
-                        slot=slot,
-                        snapshot=self._snapshots[slot],
-                    ),
-                )
-        if lacking and not isinstance(self._task, Collect):
-            self._link.send(worker, replace(self._collect, slots=lacking))
-        self._link.send(worker, replace(self._task, slots=wanted))
-        owed = busy.slots if busy is not None else set()
-        self._busy[worker] = _Busy(self._round.id, owed | set(wanted))
-
     def _take(self, answer: Answer) -> None:
         first, size = block_of(answer)
         aligned = size > 0 and size & (size - 1) == 0 and first % size == 0
         if not aligned or answer.worker not in self.roster:
             return
         round_id = RoundId(answer.generation, answer.iteration, answer.round)
-        self._settle(answer, round_id, range(first, first + min(size, self._leases.num_slots)))
-        if self._round is None or self._task is None or round_id != self._round.id:
-            return
-        if not isinstance(answer, _ANSWER_TO[type(self._task)]):
-            return
-        if not self._sound(answer):
-            return
-        self._round.offer(round_id, (first, size), answer)
-
-    def _settle(self, answer: Answer, round_id: RoundId, slots: range) -> None:
-        """Note what the answer says about its sender, whether or not it still counts."""
-        if isinstance(answer, Collected) and self._is_present(answer):
-            self._leases.mark_current(answer.slot, answer.worker)
+        self._questions.settle(answer, round_id)
+        if isinstance(answer, Collected):
             self._note_exactness(answer)
-        busy = self._busy.get(answer.worker)
-        if busy is None or busy.id != round_id:
+        round_, task = self._questions.round, self._questions.task
+        if round_ is None or round_id != round_.id or task is None:
             return
-        busy.slots.difference_update(slots)
-        late = self._round is not None and busy.id != self._round.id
-        if late and not busy.slots and answer.worker in self._leases.workers:
-            del self._busy[answer.worker]
-            self._ask(answer.worker, self._leases.slots_of(answer.worker))
+        if isinstance(answer, _ANSWER_TO[type(task)]) and self._sound(answer):
+            round_.offer(round_id, (first, size), answer)
 
     def _note_exactness(self, answer: Collected) -> None:
         if self.exact and not answer.exact:
             self.exact = False
             log.warning("slot %d lost its state in a move: the run is not exact", answer.slot)
-
-    def _is_present(self, answer: Collected) -> bool:
-        """Was it collected in the present iteration?"""
-        collect = self._collect
-        return (
-            collect is not None
-            and answer.generation == collect.generation
-            and answer.iteration == collect.iteration
-        )
 
     def _sound(self, answer: Answer) -> bool:
         """Sizes as the config says, numbers finite; a worker that breaks either is dealt with."""
@@ -279,14 +209,12 @@ class Exchange:
             )
         return True
 
-    def _waiting_for(self) -> str:
+    def _waiting_for(self, round_: Round[Answer]) -> str:
         """Who keeps us waiting, in words."""
-        assert self._round is not None
-        missing = self._round.missing
+        here, missing = round_.id, round_.missing
         if not self._leases.workers:
-            return f"iteration {self._round.id.iteration}: waiting for any worker"
+            return f"iteration {here.iteration}: waiting for any worker"
         holders = sorted({self._leases.holder.get(slot, "nobody") for slot in missing})
-        here = self._round.id
         return (
             f"iteration {here.iteration}, round {here.round}: waiting for slots {list(missing)} "
             f"of {', '.join(holders)}"
