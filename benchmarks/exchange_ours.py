@@ -23,6 +23,7 @@ from dppo.wire.socket_links import SocketLearnerLink, SocketWorkerLink
 from dppo.wire.zenoh_links import ZenohWorkerLink, open_connecting
 from learner.exchange import Exchange
 from learner.local import free_address
+from learner.soundness import Expected
 
 Float32 = NDArray[np.float32]
 SPAWN = multiprocessing.get_context("spawn")
@@ -51,8 +52,9 @@ def _round(
     """One update's round, when all have joined."""
     config = config_of(workers)
     welcome = Welcome(run="exchange", generation=1, config=json.dumps(config.to_dict()))
-    exchange = Exchange(link, welcome, Leases(workers), look_after, lambda: SIZE)
-    exchange.wait_for_environment()
+    exchange = Exchange(link, welcome, Leases(workers), look_after)
+    spaces = exchange.wait_for_environment()
+    exchange.expected = Expected(spaces, SIZE, config.rollout.samples_per_slot)
     parameters, slots = np.zeros(SIZE, np.float32), tuple(range(workers))
     same: Any = {"generation": 1, "iteration": 0, "slots": slots, "parameters": parameters}
     one = np.zeros(3)

@@ -119,6 +119,7 @@ def _lead(args: argparse.Namespace) -> None:
     from learner.chief import Chief
     from learner.exchange import Exchange
     from learner.local import free_address
+    from learner.soundness import Expected
     from learner.state import State
 
     watch = Stopwatch()
@@ -129,12 +130,11 @@ def _lead(args: argparse.Namespace) -> None:
     link = learner_link(free_address())
     children = Pairs(link, args.workers, verbose=False, module="benchmarks.iteration")
     welcome = Welcome(run="iteration", generation=1, config=json.dumps(config.to_dict()))
-    exchange = Exchange(
-        link, welcome, Leases(args.slots), children.look_after, lambda: networks.size
-    )
+    exchange = Exchange(link, welcome, Leases(args.slots), children.look_after)
     children.start()
     spaces = exchange.wait_for_environment()
     networks = Networks.build(spaces, config)
+    exchange.expected = Expected(spaces, networks.size, config.rollout.samples_per_slot)
     state = State.initial(networks, spaces.obs_size, config)
     chief = Chief(state, networks, config, 1, exchange, print)
     for _ in range(_WARM):

@@ -29,6 +29,7 @@ from dppo.wire.memory_links import MemoryHub, MemoryLearnerLink, MemoryWorkerLin
 from dppo.wire.messages import ToLearner, ToWorker, Welcome
 from learner.chief import Chief
 from learner.exchange import Exchange
+from learner.soundness import Expected
 from learner.state import State
 
 CHIEF: tuple[Place, ...] = (
@@ -99,6 +100,10 @@ class PuppetLink:
             end.send(answer)
         self._watch.switch(None)
 
+    def cut(self, worker: str) -> None:
+        """See `LearnerLink`."""
+        self._link.cut(worker)
+
     def close(self) -> None:
         """See `LearnerLink`."""
         self._link.close()
@@ -112,7 +117,8 @@ def _chief(slots: int, iterations: int, watch: Stopwatch) -> Result:
     networks = networks_of(config)
     welcome = Welcome(run="scaling", generation=1, config=json.dumps(config.to_dict()))
     link = PuppetLink(slots, networks.size, watch)
-    exchange = Exchange(link, welcome, Leases(slots), lambda: None, lambda: networks.size)
+    exchange = Exchange(link, welcome, Leases(slots), lambda: None)
+    exchange.expected = Expected(SPACES, networks.size, config.rollout.samples_per_slot)
     exchange.wait_for_environment()
     state = State.initial(networks, SPACES.obs_size, config)
     chief = Chief(state, networks, config, 1, exchange, print)

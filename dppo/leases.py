@@ -1,11 +1,15 @@
 """Who works on which slot. A state machine without clock or socket.
 
-Slots are spread evenly, in runs, over the workers in the order they joined, once per iteration.
-Within an iteration a lease only moves when its holder is lost. Workers beyond the number of slots
-stand by as spares and inherit first.
+Slots are spread in runs over the workers in the order they joined, once per iteration, so that all
+are likely to be done at the same time. Within an iteration a lease only moves when its holder is
+lost. Workers that hold nothing stand by as spares.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+
+_WORTH_A_MOVE = 1.2
+"""Slots move for speed alone when the slowest worker would be done so many times sooner."""
 
 
 @dataclass(slots=True)
@@ -19,6 +23,10 @@ class Leases:
     """Slot to worker; a slot that is not in it waits for a worker."""
     current: set[int] = field(default_factory=set)
     """Slots whose holder has their state at the start of the present iteration, or later."""
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    """Seconds per slot, of workers that have been measured; others count as the fastest one."""
+    spread_over: tuple[str, ...] = ()
+    """The workers of the last spread, if none of them has left since."""
 
     def join(self, worker: str) -> tuple[int, ...]:
         """A worker joins; the slots it takes over at once, because nobody holds them."""
@@ -31,6 +39,7 @@ class Leases:
         if worker not in self.workers:
             return {}
         self.workers.remove(worker)
+        self.spread_over = ()
         lost = {slot for slot, holder in self.holder.items() if holder == worker}
         for slot in lost:
             del self.holder[slot]
@@ -43,12 +52,18 @@ class Leases:
         }
 
     def spread(self) -> None:
-        """The leases of a new iteration: even runs of slots. A moved slot is no longer current."""
-        active = self.workers[: self.num_slots]
-        for index, worker in enumerate(active):
-            first = index * self.num_slots // len(active)
-            last = (index + 1) * self.num_slots // len(active)
-            for slot in range(first, last):
+        """The leases of a new iteration. A slot that moves is no longer current."""
+        if not self.workers:
+            return
+        counts = dict.fromkeys(self.workers, 0)
+        for _ in range(self.num_slots):
+            counts[self._soonest(counts)] += 1
+        if self.spread_over == tuple(self.workers) and not self._is_worth_it(counts):
+            return
+        self.spread_over = tuple(self.workers)
+        slots = iter(range(self.num_slots))
+        for worker, count in counts.items():
+            for slot in (next(slots) for _ in range(count)):
                 if self.holder.get(slot) != worker:
                     self.holder[slot] = worker
                     self.current.discard(slot)
@@ -69,12 +84,30 @@ class Leases:
         return tuple(worker for worker in self.workers if worker not in busy)
 
     def _settle(self) -> tuple[int, ...]:
-        """Give slots that nobody holds to whoever holds the fewest; those slots."""
+        """Give slots that nobody holds to whoever would be done with one more the soonest."""
         waiting = tuple(slot for slot in range(self.num_slots) if slot not in self.holder)
         if not self.workers:
             return ()
+        counts = self._counts()
         for slot in waiting:
-            self.holder[slot] = min(
-                self.workers, key=lambda worker: (len(self.slots_of(worker)), worker)
-            )
+            self.holder[slot] = worker = self._soonest(counts)
+            counts[worker] += 1
         return waiting
+
+    def _counts(self) -> dict[str, int]:
+        """Slots of each worker, in the order they joined."""
+        return {worker: len(self.slots_of(worker)) for worker in self.workers}
+
+    def _soonest(self, counts: Mapping[str, int]) -> str:
+        """Who would be done first with one slot more; of equals the one that joined first."""
+        return min(self.workers, key=lambda worker: self._end(worker, counts[worker] + 1))
+
+    def _end(self, worker: str, slots: int) -> float:
+        """When a worker would be done with so many slots [s]."""
+        return slots * self.seconds.get(worker, min(self.seconds.values(), default=1.0))
+
+    def _is_worth_it(self, counts: Mapping[str, int]) -> bool:
+        """Would the last worker be done so much sooner that slots should move?"""
+        before = max(self._end(worker, count) for worker, count in self._counts().items())
+        after = max(self._end(worker, count) for worker, count in counts.items())
+        return before > _WORTH_A_MOVE * after

@@ -54,6 +54,8 @@ class ProcessArgs:
     """Newest checkpoints to keep, besides the best [count]."""
     stop_at: int = sys.maxsize
     """Pause after so many environment steps of the run, with a checkpoint [env steps]."""
+    patience: float = 3.0
+    """Least silence, or time without progress, that a worker is given up for; inf: never [s]."""
     verbose: bool = False
     """Log who joins, leaves and waits."""
 
@@ -62,6 +64,7 @@ class ProcessArgs:
         leasts = {"local_workers": -1, "checkpoint_every": 1, "keep_checkpoints": 1}
         for name, least in leasts.items():
             require(getattr(self, name) >= least, name, getattr(self, name), f">= {least}")
+        require(self.patience >= 1, "patience", self.patience, ">= 1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +125,13 @@ def _train(config: Config, args: ProcessArgs) -> int:
         workers.look_after()
 
     session = Session(
-        config, folder, link, look_after, args.checkpoint_every, args.keep_checkpoints
+        config,
+        folder,
+        link,
+        look_after,
+        args.checkpoint_every,
+        args.keep_checkpoints,
+        args.patience,
     )
     _announce(config, path, address, count)
     try:

@@ -5,16 +5,20 @@ carries out what they say. A worker that is lost costs one redo of its slots (`q
 """
 
 import logging
-import re
 import time
 from collections.abc import Callable
+from math import isfinite
 
-from dppo.errors import RunFailedError, UsageError
+from dppo.errors import RunFailedError
 from dppo.leases import Leases
+from dppo.patience import Patience
+from dppo.quarantine import Quarantine
 from dppo.rounds import Round, RoundId
 from dppo.spaces import Spaces
+from dppo.watch import Watch
 from dppo.wire.links import LearnerLink, Refused, WorkerLost
 from dppo.wire.messages import (
+    Alive,
     Answer,
     Collect,
     Collected,
@@ -29,14 +33,17 @@ from dppo.wire.messages import (
     Update,
     Welcome,
 )
+from learner.members import Members, listed
 from learner.questions import Questions
 from learner.roster import Roster, spaces_in
-from learner.soundness import block_of, is_finite, shape_objection
+from learner.soundness import Expected, block_of, sizes
 
 log = logging.getLogger("learner")
 _TICK = 0.25
 """Longest wait for one event [s]; children and signals are looked after in between."""
 _REMARK_SECONDS = 10.0
+_AT_FIRST = 10.0
+"""So many times as patient before it is known how long this run's steps take."""
 _ANSWER_TO = {Collect: Collected, Update: Gradient, Measure: Measured}
 
 
@@ -49,15 +56,39 @@ class Exchange:
         welcome: Welcome,
         leases: Leases,
         look_after: Callable[[], None],
-        parameter_count: Callable[[], int],
+        patience: float = 3.0,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`look_after` is called in every pause; it may raise to end the run."""
+        """Nobody has joined yet.
+
+        Args:
+            link: the learner's end of the wire.
+            welcome: what a worker that joins is told.
+            leases: who holds which slot.
+            look_after: called in every pause; it may raise to end the run.
+            patience: the least time that a worker may make no progress, or be silent [s].
+            clock: seconds since some moment.
+        """
         self._link, self._welcome, self._leases = link, welcome, leases
-        self._look_after, self._parameter_count = look_after, parameter_count
-        self.roster = Roster()
+        self._look_after = look_after
+        self._questions = Questions(link, leases)
+        self._clock = clock
+        watch = Watch(
+            patience=Patience(first=_AT_FIRST * patience, least=patience),
+            pulse=Patience(first=patience, least=patience),
+        )
+        self._members = Members(link, welcome, leases, self._questions, watch, clock)
+        self._quarantine = Quarantine()
+        self._iteration = 0
+        self.expected: Expected | None = None
+        """The form of answers; to be set before the first question."""
         self.exact = True
         """No slot has lost a bit on a move."""
-        self._questions = Questions(link, leases)
+
+    @property
+    def roster(self) -> Roster:
+        """Who has said Hello."""
+        return self._members.roster
 
     @property
     def num_workers(self) -> int:
@@ -66,18 +97,22 @@ class Exchange:
 
     def wait_for_environment(self) -> Spaces:
         """Wait until a worker has built the environment; its sizes."""
-        begun = remarked = time.monotonic()
+        begun = remarked = self._clock()
         while self.roster.first is None:
             self._handle(_TICK)
-            if time.monotonic() - remarked > _REMARK_SECONDS:
-                remarked = time.monotonic()
+            if self._clock() - remarked > _REMARK_SECONDS:
+                remarked = self._clock()
                 log.warning("waiting for a first worker, for %.0f s", remarked - begun)
         return spaces_in(self.roster.first)
 
     def begin_iteration(self, collect: Collect, snapshots: dict[int, bytes]) -> None:
         """Spread the slots anew; remember what a lost slot has to be started from."""
         self._questions.begin_iteration(collect, snapshots)
+        self._iteration = collect.iteration
+        self._leases.seconds = self._members.pace.seconds_per_slot
         self._leases.spread()
+        for spare in self._leases.spares:
+            self._members.pace.stand_by(spare)
         if self._leases.spares and collect.iteration % 100 == 1:
             spares, slots = len(self._leases.spares), self._leases.num_slots
             log.warning("%d workers stand by: --slots %d is what limits them", spares, slots)
@@ -86,15 +121,19 @@ class Exchange:
         """Ask all slots, wait until the quorum is in, take what else is there; the round."""
         self._look_after()
         round_ = self._questions.open(task, quorum)
-        begun = remarked = time.monotonic()
+        begun = remarked = self._clock()
+        if isinstance(task, Collect):
+            for worker in set(self._leases.holder.values()):
+                self._members.pace.begin(worker, len(self._leases.slots_of(worker)), begun)
         while not round_.may_close:
             self._handle(_TICK)
-            if time.monotonic() - remarked > _REMARK_SECONDS:
-                remarked = time.monotonic()
-                log.warning("%s, for %.0f s", self._waiting_for(round_), remarked - begun)
+            if self._clock() - remarked > _REMARK_SECONDS:
+                remarked = self._clock()
+                log.warning("%s, for %.0f s", self.waiting(), remarked - begun)
         while round_.missing and self._handle(0.0):
             pass
         self._questions.close()
+        self._members.calm()
         return round_
 
     def stop(self, reason: str, final: bool) -> None:
@@ -107,15 +146,18 @@ class Exchange:
     def _handle(self, timeout: float) -> bool:
         """One event, or one silence; was it an event?"""
         event = self._link.receive(timeout)
+        self._members.look()
         match event:
             case Hello():
-                self._greet(event)
+                self._members.greet(event)
             case Ready():
-                self._admit(event)
+                self._members.admit(event)
+            case Alive():
+                self._members.hear(event.worker, event.done)
             case Collected() | Gradient() | Measured():
                 self._take(event)
             case WorkerLost():
-                self._lose(event.worker, "its connection is gone")
+                self._members.lose(event.worker, "its connection is gone")
             case Failure():
                 self._fail(event)
             case Refused():
@@ -124,58 +166,33 @@ class Exchange:
                 self._look_after()
         return event is not None
 
-    def _greet(self, hello: Hello) -> None:
-        if not re.fullmatch(r"[A-Za-z0-9-]{1,64}", hello.worker):
-            log.warning("ignored a worker called %r: letters, digits and '-' only", hello.worker)
-            return
-        if hello.worker in self._leases.workers:
-            self._lose(hello.worker, "it joins anew")
-        self.roster.greet(hello)
-        self._link.send(hello.worker, self._welcome)
-
-    def _admit(self, ready: Ready) -> None:
-        if ready.worker not in self.roster or ready.generation != self._welcome.generation:
-            return
-        objection = self.roster.admit(ready)
-        if objection:
-            self._expel(ready.worker, objection)
-            return
-        taken = self._leases.join(ready.worker)
-        log.info("worker %s joined, %d in the run", ready.worker, self.num_workers)
-        self._questions.ask(ready.worker, taken)
-
-    def _lose(self, worker: str, why: str) -> None:
-        self.roster.forget(worker)
-        self._questions.forget(worker)
-        if worker not in self._leases.workers:
-            return
-        heirs = self._leases.leave(worker)
-        log.info("worker %s left: %s; %d in the run", worker, why, self.num_workers)
-        for heir, slots in heirs.items():
-            self._questions.ask(heir, slots)
-
-    def _expel(self, worker: str, reason: str) -> None:
-        log.warning("%s; it is sent away", reason)
-        self._link.send(worker, Stop(reason=reason, final=True))
-        self._lose(worker, "it was sent away")
-
     def _fail(self, failure: Failure) -> None:
-        """An environment failed: the same would happen on every other worker."""
-        known = failure.worker in self.roster
-        if not known or failure.generation != self._welcome.generation:
+        """An environment failed; if it fails elsewhere, too, the run cannot go on.
+
+        Raises:
+            RunFailedError: it is the second time, for the same slot in the same iteration.
+            UsageError: the environment cannot be made.
+        """
+        worker = failure.worker
+        if worker not in self.roster or failure.generation != self._welcome.generation:
             return
-        if not failure.usage:
-            raise RunFailedError(f"{failure.reason}; {self.roster.describe(failure.worker)}")
-        if self.roster.first is None:
-            raise UsageError(failure.reason)
-        self._expel(failure.worker, f"{self.roster.describe(failure.worker)}: {failure.reason}")
+        if failure.usage:
+            self._members.refuse_setup(worker, failure.reason)
+            return
+        reason = f"{failure.reason}; {self.roster.describe(worker)}"
+        iteration = RoundId(failure.generation, self._iteration, 0)
+        before = self._quarantine.refuse(worker, (failure.slot,), iteration)
+        if before is not None:
+            raise RunFailedError(f"{reason}; it is the second time, after worker {before}")
+        log.warning("%s; it is tried once more, elsewhere if there is another worker", reason)
+        self._members.part(worker, "one of its environments failed")
 
     # questions and answers
 
     def _take(self, answer: Answer) -> None:
         first, size = block_of(answer)
         aligned = size > 0 and size & (size - 1) == 0 and first % size == 0
-        if not aligned or answer.worker not in self.roster:
+        if not aligned or not self._members.hear(answer.worker):
             return
         round_id = RoundId(answer.generation, answer.iteration, answer.round)
         self._questions.settle(answer, round_id)
@@ -184,7 +201,9 @@ class Exchange:
         round_, task = self._questions.round, self._questions.task
         if round_ is None or round_id != round_.id or task is None:
             return
-        if isinstance(answer, _ANSWER_TO[type(task)]) and self._sound(answer):
+        if isinstance(task, Collect) and not self._questions.owes(answer.worker):
+            self._members.pace.end(answer.worker, self._clock())
+        if isinstance(answer, _ANSWER_TO[type(task)]) and self._is_sound(answer, round_id):
             round_.offer(round_id, (first, size), answer)
 
     def _note_exactness(self, answer: Collected) -> None:
@@ -192,30 +211,59 @@ class Exchange:
             self.exact = False
             log.warning("slot %d lost its state in a move: the run is not exact", answer.slot)
 
-    def _sound(self, answer: Answer) -> bool:
-        """Sizes as the config says, numbers finite; a worker that breaks either is dealt with."""
-        assert self.roster.first is not None
-        spaces, count = spaces_in(self.roster.first), self._parameter_count()
-        if objection := shape_objection(answer, spaces, count):
-            self._expel(answer.worker, f"{self.roster.describe(answer.worker)} {objection}")
+    def _is_sound(self, answer: Answer, round_id: RoundId) -> bool:
+        """Lengths as the settings say, numbers finite and not wild; or its worker has to answer
+        for it.
+        """
+        assert self.expected is not None
+        if objection := self.expected.objection(answer):
+            who = self.roster.describe(answer.worker)
+            self._members.expel(answer.worker, f"{who} {objection}")
             return False
-        if not is_finite(answer):
-            first, size = block_of(answer)
-            raise RunFailedError(
-                f"slots {first} to {first + size - 1} on {self.roster.describe(answer.worker)} "
-                f"sent a {type(answer).__name__} that is not finite, iteration "
-                f"{answer.iteration}, round {answer.round}; lower --learning-rate or look at the "
-                "rewards' scale"
-            )
+        found = sizes(answer)
+        finite = all(map(isfinite, found.values()))
+        doubt = self._quarantine.outlier(found) if finite else "numbers that are not finite"
+        if doubt and not self._is_confirmed(answer, round_id, doubt, finite):
+            return False
+        self._quarantine.accept(found)
         return True
 
-    def _waiting_for(self, round_: Round[Answer]) -> str:
-        """Who keeps us waiting, in words."""
-        here, missing = round_.id, round_.missing
-        if not self._leases.workers:
-            return f"iteration {here.iteration}: waiting for any worker"
-        holders = sorted({self._leases.holder.get(slot, "nobody") for slot in missing})
+    def _is_confirmed(self, answer: Answer, round_id: RoundId, doubt: str, finite: bool) -> bool:
+        """A doubtful answer counts when it has come out so twice.
+
+        Raises:
+            RunFailedError: it has, and it is not finite.
+        """
+        worker, (first, size) = answer.worker, block_of(answer)
+        slots = range(first, min(first + size, self._leases.num_slots))
+        what = (
+            f"slots {listed(slots)} on {self.roster.describe(worker)}: {type(answer).__name__} of "
+            f"iteration {answer.iteration}, round {answer.round} with {doubt}"
+        )
+        before = self._quarantine.refuse(worker, slots, round_id)
+        if before is None:
+            log.warning("refused %s; it is computed again", what)
+            if self._quarantine.is_benched(worker):
+                self._members.expel(worker, f"worker {worker} was refused again and again")
+            else:
+                self._members.part(worker, "its answer was refused")
+            return False
+        if not finite:
+            raise RunFailedError(
+                f"{what}, the second time after worker {before}; lower --learning-rate or look "
+                "at the rewards' scale"
+            )
+        log.warning("%s, the second time after worker %s: it counts", what, before)
+        return True
+
+    def waiting(self) -> str:
+        """Who keeps us waiting, in words; empty between two questions."""
+        round_ = self._questions.round
+        if round_ is None:
+            return ""
+        where = {0: "collection"}.get(round_.id.round, f"update {round_.id.round}")
+        have = tuple(sorted(set(round_.slots) - set(round_.missing)))
         return (
-            f"iteration {here.iteration}, round {here.round}: waiting for slots {list(missing)} "
-            f"of {', '.join(holders)}"
+            f"iteration {round_.id.iteration}, {where}: have slots {listed(have)}; "
+            f"{self._members.waiting_for(round_.missing)}"
         )

@@ -7,17 +7,18 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from dppo.errors import RunFailedError
 from dppo.wire.socket_links import SocketLearnerLink
 
 log = logging.getLogger("learner")
-_MOST_DEATHS = 20
 _TROUBLE_SECONDS = 5.0
 """A worker that dies younger than this counts as one that cannot start."""
+_MOST_FAILED_STARTS = 2
+"""In a row, by exit codes."""
+_MOST_YOUNG_DEATHS = 20
+"""In a row, by signals: somebody may be killing them on purpose."""
 _END_SECONDS = 3.0
-_STOPPED_SECONDS = 2.0
 _LOOK_SECONDS = 0.2
 
 
@@ -33,8 +34,6 @@ class _Child:
     name: str
     process: subprocess.Popen[bytes]
     born: float
-    stopped: float | None = None
-    """Since when it has been seen stopped."""
 
 
 @dataclass(slots=True)
@@ -49,7 +48,7 @@ class LocalWorkers:
     count: int
     verbose: bool
     _children: dict[int, _Child] = field(default_factory=dict)
-    _deaths: int = 0
+    _young_deaths: int = 0
     _spawned: int = 0
     _look_again: float = 0.0
 
@@ -59,51 +58,41 @@ class LocalWorkers:
             self._children[index] = self._spawn(index, 0)
 
     def look_after(self) -> None:
-        """Start again what has died, and what was stopped and not continued for two seconds.
+        """Start again what has died, and what the run has given up.
 
         Raises:
-            RunFailedError: they die again and again, or as soon as they start.
+            RunFailedError: they die as soon as they start, again and again.
         """
         now = time.monotonic()
         if now < self._look_again:
             return  # asked in every round, which may be a thousand times a second
         self._look_again = now + _LOOK_SECONDS
         for index, child in self._children.items():
-            if child.process.poll() is None and not self._is_stopped(child):
-                continue
             died = child.process.poll()
-            if died is None:
-                log.warning("local worker %d is stopped; starting another in its place", index)
+            if died is not None:
+                self._count_death(index, child, died)
+            elif not self.link.was_cut(child.name):
+                continue
+            else:  # it may be unable to end by itself
+                log.warning("local worker %d was given up; starting another in its place", index)
                 child.process.send_signal(signal.SIGKILL)
                 child.process.wait()
-            else:
-                self._count_death(index, child, died)
             self.link.forget(child.name)
             self._spawned += 1
             self._children[index] = self._spawn(index, self._spawned)
 
     def _count_death(self, index: int, child: "_Child", code: int) -> None:
-        self._deaths += 1
         log.warning("local worker %d died with exit code %d; starting another", index, code)
-        young = time.monotonic() - child.born < _TROUBLE_SECONDS
-        if self._deaths > _MOST_DEATHS or (young and code > 0 and self._deaths > 2):
+        if time.monotonic() - child.born > _TROUBLE_SECONDS:
+            self._young_deaths = 0
+            return
+        self._young_deaths += 1
+        if self._young_deaths > (_MOST_YOUNG_DEATHS if code < 0 else _MOST_FAILED_STARTS):
             raise RunFailedError(
-                f"local workers died {self._deaths} times, the last with exit code {code}; "
-                "see what they printed above"
+                f"local workers died {self._young_deaths} times in a row within "
+                f"{_TROUBLE_SECONDS:g} s of their start, the last with exit code {code}; see what "
+                "they printed above"
             )
-
-    def _is_stopped(self, child: "_Child") -> bool:
-        """Stopped by a signal at every look for two seconds, as /proc tells; not by a debugger."""
-        try:
-            stat = Path(f"/proc/{child.process.pid}/stat").read_text()
-        except OSError:
-            return False
-        now = time.monotonic()
-        if stat.rpartition(")")[2].split()[0] != "T":
-            child.stopped = None
-        elif child.stopped is None:
-            child.stopped = now
-        return child.stopped is not None and now - child.stopped > _STOPPED_SECONDS
 
     def end(self) -> None:
         """End all of them, within three seconds."""

@@ -30,6 +30,7 @@ from learner.chief import Chief
 from learner.console import Console
 from learner.exchange import Exchange
 from learner.runlog import RunLog
+from learner.soundness import Expected
 from learner.state import State
 
 log = logging.getLogger("learner")
@@ -47,16 +48,16 @@ class Session:
         look_after: Callable[[], None],
         checkpoint_every: int,
         keep: int,
+        patience: float,
     ) -> None:
         self._config, self._folder = config, folder
         self._every, self._keep = checkpoint_every, keep
         self.generation = folder.next_generation()
-        self._parameter_count = 0
         welcome = Welcome(
             run=folder.path.name, generation=self.generation, config=json.dumps(config.to_dict())
         )
         self._exchange = Exchange(
-            link, welcome, Leases(config.rollout.slots), look_after, lambda: self._parameter_count
+            link, welcome, Leases(config.rollout.slots), look_after, patience
         )
         self._disk = ThreadPoolExecutor(1)  # checkpoints are written beside the training
         self._saving: Future[None] | None = None
@@ -68,7 +69,9 @@ class Session:
         checkpoint = newest_checkpoint(self._folder.checkpoints)
         spaces = self._exchange.wait_for_environment()
         networks = Networks.build(spaces, self._config)
-        self._parameter_count = networks.size
+        self._exchange.expected = Expected(
+            spaces, networks.size, self._config.rollout.samples_per_slot
+        )
         if checkpoint is None:
             self.state = State.initial(networks, spaces.obs_size, self._config)
             self._write_config(networks)

@@ -1,4 +1,6 @@
-"""Is an answer what was asked for? Shapes by the configuration, numbers finite."""
+"""Is an answer what was asked for, and can it be believed?"""
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,40 +10,92 @@ from dppo.spaces import Spaces
 from dppo.sums import Block
 from dppo.wire.messages import Answer, Collected, Gradient, Measured
 
+_WEIGHTS = 3
+"""The first of `Sums`: samples."""
 
-def shape_objection(answer: Answer, spaces: Spaces, parameter_count: int) -> str:
-    """What is wrong with the answer's sizes, in words; empty if nothing is."""
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What decides the form of an answer."""
+
+    spaces: Spaces
+    parameter_count: int
+    samples: int
+    """Of one slot in one iteration [count]."""
+
+    def objection(self, answer: Answer) -> str:
+        """What is wrong with lengths and counts, in words; empty if nothing is."""
+        kind = type(answer).__name__
+        for name, length in self._lengths(answer).items():
+            found = len(getattr(answer, name))
+            if found != length:
+                return f"sent {kind}.{name} of {found} numbers, expected {length}"
+        for count, most in self._counts(answer):
+            if count < 0 or count > most:
+                return f"sent a {kind} over {count:g} samples, expected at most {most}"
+        return ""
+
+    def _lengths(self, answer: Answer) -> dict[str, int]:
+        match answer:
+            case Gradient():
+                return {"vector": self.parameter_count, "sums": len(Sums.__slots__)}
+            case Collected():
+                return {
+                    "obs": 1 + 2 * self.spaces.obs_size, "returns": 3, "advantages": 7, "fit": 7,
+                    "sigma_target": 3, "start_sigma": 3,
+                    "episodes": 2 * (len(answer.episodes) // 2),
+                }  # fmt: skip
+            case Measured():
+                return {}
+
+    def _counts(self, answer: Answer) -> list[tuple[float, int]]:
+        """Counts of samples, each with the most that it can be (critics may learn twice)."""
+        match answer:
+            case Gradient():
+                return [(float(n), 2 * answer.size * self.samples) for n in answer.sums[:_WEIGHTS]]
+            case Collected():
+                vectors = (answer.obs, answer.returns, answer.advantages)
+                return [(float(vector[0]), self.samples) for vector in vectors]
+            case Measured():
+                return [(answer.weight, self.samples)]
+
+
+def sizes(answer: Answer) -> dict[str, float]:
+    """How large the numbers of an answer are, by what they are; nan or inf if one of them is."""
+    with np.errstate(all="ignore"):
+        return _sizes(answer)
+
+
+def _sizes(answer: Answer) -> dict[str, float]:
     match answer:
         case Gradient():
-            expected = {"vector": parameter_count, "sums": len(Sums.__slots__)}
+            weight = max(float(answer.sums[0]), float(answer.sums[1]), 1.0)
+            return {
+                "gradient per sample": _norm(answer.vector) / weight,
+                "loss per sample": _norm(answer.sums) / weight,
+            }
         case Collected():
-            expected = {
-                "obs": 1 + 2 * spaces.obs_size, "returns": 3, "advantages": 7, "fit": 7,
-                "sigma_target": 3, "start_sigma": 3, "episodes": 2 * (len(answer.episodes) // 2),
+            moments = {
+                "observation": answer.obs, "return": answer.returns, "sigma": answer.start_sigma,
+                "advantage": answer.advantages, "fit": answer.fit, "target": answer.sigma_target,
             }  # fmt: skip
+            found = {name: _greatest(vector) for name, vector in moments.items()}
+            return found | {"episode": 0.0 * float(answer.episodes.sum())}  # of any size
         case Measured():
-            expected = {}
-    for name, length in expected.items():
-        found = len(getattr(answer, name))
-        if found != length:
-            return f"sent {type(answer).__name__}.{name} of {found} numbers, expected {length}"
-    return ""
+            return {"KL per sample": abs(answer.kl) / max(answer.weight, 1.0)}
 
 
-def is_finite(answer: Answer) -> bool:
-    """Are all numbers that would enter the run finite?"""
-    vectors: list[NDArray[np.floating]]
-    match answer:
-        case Gradient():
-            vectors = [answer.vector, answer.sums]
-        case Collected():
-            vectors = [
-                answer.obs, answer.returns, answer.advantages, answer.fit, answer.sigma_target,
-                answer.start_sigma, answer.episodes,
-            ]  # fmt: skip
-        case Measured():
-            vectors = [np.array([answer.kl, answer.weight])]
-    return all(np.isfinite(vector).all() for vector in vectors)
+def _norm(vector: NDArray[np.floating]) -> float:
+    """Euclidean norm, quickly where float32 can hold its square."""
+    square = float(np.dot(vector, vector))
+    return float(np.linalg.norm(vector.astype(np.float64))) if square > 1e30 else square**0.5
+
+
+def _greatest(moments: NDArray[np.float64]) -> float:
+    """The greatest root mean square among the features of some moments."""
+    size = (len(moments) - 1) // 2
+    mean, m2 = moments[1 : 1 + size], moments[1 + size :]
+    return float(np.sqrt(np.max(mean**2 + m2 / max(moments[0], 1.0))))
 
 
 def block_of(answer: Answer) -> Block:

@@ -1,5 +1,9 @@
 """Environments that something is wrong with; registered on import (`tests.odd_envs:Raises-v0`)."""
 
+import os
+import re
+import signal
+import time
 from typing import Any
 
 import gymnasium
@@ -10,10 +14,19 @@ from gymnasium import spaces
 class Walk(gymnasium.Env[Any, Any]):
     """Two numbers to see, two actions, episodes of 16 steps; goes wrong in the 11th, if at all."""
 
-    def __init__(self, trouble: str = "", actions: Any = None, observations: Any = None) -> None:
+    def __init__(
+        self,
+        trouble: str = "",
+        actions: Any = None,
+        observations: Any = None,
+        once: str = "",
+        after: int = 0,
+    ) -> None:
+        """With `once`, a file, trouble comes a single time, and not before `after` steps."""
         self.action_space = actions or spaces.Discrete(2)
         self.observation_space = observations or spaces.Box(-1, 1, (2,))
         self._trouble, self._steps = trouble, 0
+        self._once, self._left = once, after
 
     def reset(self, *, seed: int | None = None, **_: Any) -> Any:
         super().reset(seed=seed)
@@ -23,7 +36,10 @@ class Walk(gymnasium.Env[Any, Any]):
     def step(self, action: Any) -> Any:
         self._steps += 1
         obs = np.array([self._steps / 16, float(np.sum(action))], np.float32)
-        if self._steps == 11:
+        self._left -= 1
+        if self._once and self._left < 0 and self._is_first():
+            _strike(self._trouble)
+        if self._steps == 11 and not self._once:
             if self._trouble == "raise":
                 raise RuntimeError("the arm fell off")
             if self._trouble == "nan":
@@ -32,11 +48,38 @@ class Walk(gymnasium.Env[Any, Any]):
                 obs[1] = np.random.default_rng().random()
         return obs, 1.0, self._steps == 16, False, {}
 
+    def _is_first(self) -> bool:
+        """Of all environments of all processes, exactly one goes wrong."""
+        try:
+            os.close(os.open(self._once, os.O_CREAT | os.O_EXCL))
+        except FileExistsError:
+            return False
+        return True
+
+
+def _strike(trouble: str) -> None:
+    """Things that go wrong once."""
+    match trouble:
+        case "hang":
+            while True:
+                time.sleep(1)
+        case "hold":  # the interpreter's lock, in C, practically for ever
+            re.match(r"(a+)+$", "a" * 60 + "b")
+        case "segfault":
+            os.kill(os.getpid(), signal.SIGSEGV)
+        case "memory":  # what the kernel does to a process that takes too much
+            os.kill(os.getpid(), signal.SIGKILL)
+        case "exit":
+            os._exit(3)
+        case "raise":
+            raise RuntimeError("the arm fell off")
+
 
 TROUBLES: dict[str, dict[str, Any]] = {
     "Raises-v0": {"trouble": "raise"},
     "NotANumber-v0": {"trouble": "nan"},
     "Dice-v0": {"trouble": "dice"},
+    "Walk-v0": {},
     "OddActions-v0": {"actions": spaces.MultiBinary(3)},
     "OddObservations-v0": {"observations": spaces.Text(3)},
 }

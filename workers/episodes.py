@@ -16,6 +16,7 @@ from dppo.config import Config
 from dppo.streams import reset_seed
 from workers.envs import Adapter, Vec, training_vec
 from workers.failures import EnvironmentFailedError, RowFailedError
+from workers.heart import beat
 from workers.snapshots import Arrays
 
 log = logging.getLogger("worker")
@@ -62,6 +63,7 @@ class Episodes:
 
     def begin(self, rows: Flags | None = None) -> None:
         """Start the next episode in these rows, or in all."""
+        beat()
         mask = np.ones(len(self._rows), np.bool_) if rows is None else rows
         self.episode[mask] += 1
         for array in (self.steps, self.score, self.discounted):
@@ -76,6 +78,7 @@ class Episodes:
 
     def step(self, action: NDArray[np.float32]) -> Step:
         """One step with [n, A]; the caller begins the next episodes after ends."""
+        beat()
         try:
             found, reward, terminated, truncated, _ = self.vec.step(self.adapter.to_envs(action))
         except RowFailedError as error:
@@ -158,6 +161,7 @@ class Episodes:
         slot, env = self._rows[row]
         name = self.vec.spec.id if self.vec.spec else type(self.vec).__name__
         return EnvironmentFailedError(
+            slot,
             f"slot {slot}, environment {env} ({name}) {what} at step {self.steps[row]} of "
-            f"episode {self.episode[row]} (reset seed {self._reset_seed(row)})"
+            f"episode {self.episode[row]} (reset seed {self._reset_seed(row)})",
         )

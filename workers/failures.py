@@ -11,3 +11,7 @@ class RowFailedError(Exception):
 
 class EnvironmentFailedError(Exception):
     """An environment raised, or returned what is not a number; slot, environment, step named."""
+
+    def __init__(self, slot: int, reason: str) -> None:
+        super().__init__(reason)
+        self.slot = slot

@@ -13,6 +13,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
 from workers.failures import RowFailedError
+from workers.heart import beat
 from workers.snapshots import Arrays
 
 Env = gymnasium.Env[Any, Any]
@@ -53,6 +54,7 @@ class _Watched(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:  # noqa: ANN401
         """As the environment's."""
+        beat()
         if self._remember:
             self.actions.append(np.array(action))
         try:

@@ -29,6 +29,7 @@ from dppo.wire.messages import (
 )
 from workers.envs import env_hash, exactness, make_env, spaces_of
 from workers.failures import EnvironmentFailedError
+from workers.heart import Heart, beat
 from workers.numerics import fingerprint, versions
 from workers.worker import OutOfStepError, Worker
 
@@ -126,18 +127,8 @@ class Member:
         """Everything from Welcome to the end of this membership; None: the learner is lost."""
         try:
             worker = self._prepare(welcome)
-            while True:
-                message = self._link.receive(60.0)
-                match message:
-                    case Restore() | Collect() | Update() | Measure():
-                        if message.generation == welcome.generation:
-                            worker.perform(message)
-                    case Stop():
-                        return message
-                    case LearnerLost():
-                        return None
-                    case Refused():
-                        log.warning("ignored a message: %s", message.reason)
+            with Heart(self._name, welcome.generation, self._link.send):
+                return self._work(worker, welcome.generation)
         except OutOfStepError as error:
             log.info("%s; joining anew", error)
             return None
@@ -146,10 +137,27 @@ class Member:
                 worker=self._name,
                 generation=welcome.generation,
                 usage=isinstance(error, UsageError),
+                slot=error.slot if isinstance(error, EnvironmentFailedError) else -1,
                 reason=str(error),
             )
             self._link.send(failure)
             return self._wait_for_stop(failure.reason)
+
+    def _work(self, worker: Worker, generation: int) -> Stop | None:
+        """Do what the learner asks until it says stop; None: it is lost."""
+        while True:
+            message = self._link.receive(60.0)
+            match message:
+                case Restore() | Collect() | Update() | Measure():
+                    if message.generation == generation:
+                        beat()
+                        worker.perform(message)
+                case Stop():
+                    return message
+                case LearnerLost():
+                    return None
+                case Refused():
+                    log.warning("ignored a message: %s", message.reason)
 
     def _prepare(self, welcome: Welcome) -> Worker:
         """Build the environment once, to see that it works here and how large it is."""

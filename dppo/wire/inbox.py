@@ -7,7 +7,7 @@ from dppo.errors import WireError
 from dppo.wire.codec import Frame, decode
 from dppo.wire.links import LearnerLost, Refused, WorkerLost
 
-Inbox = queue.SimpleQueue[Frame | WorkerLost | LearnerLost]
+Inbox = queue.SimpleQueue[Frame | WorkerLost | LearnerLost | Refused]
 
 
 def next_event(inbox: Inbox, timeout: float) -> Any:  # noqa: ANN401  the link's end narrows it

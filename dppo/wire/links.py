@@ -24,7 +24,10 @@ class LearnerLost:
 
 @dataclass(frozen=True, slots=True)
 class Refused:
-    """Something arrived that is not a message of ours."""
+    """Something arrived that is not a message of ours, or was damaged on the way.
+
+    What it may have been is lost; who waits for it gives its sender up in the end.
+    """
 
     reason: str
 
@@ -40,6 +43,10 @@ class LearnerLink(Protocol):
         """Hand over a message; it is lost if the worker is."""
         ...
 
+    def cut(self, worker: str) -> None:
+        """Let go of the connection to a worker that was given up."""
+        ...
+
     def close(self) -> None:
         """Let go of everything, within a bound."""
         ...
@@ -53,7 +60,7 @@ class WorkerLink(Protocol):
         ...
 
     def send(self, message: ToLearner) -> None:
-        """Hand over a message; it is lost if the learner is."""
+        """Hand over a message, from any thread; it is lost if the learner is."""
         ...
 
     def close(self) -> None:

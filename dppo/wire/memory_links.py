@@ -55,6 +55,9 @@ class MemoryLearnerLink:
         if worker in self._workers:
             self._workers[worker].put(encode(message))
 
+    def cut(self, worker: str) -> None:
+        """See `LearnerLink`. A queue is no connection."""
+
     def close(self) -> None:
         """See `LearnerLink`."""
         for inbox in self._workers.values():

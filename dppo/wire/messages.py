@@ -12,6 +12,7 @@
       | <---------------------- Measure -- |   parameters after the last update
       | -- Measured ---------------------> |   one per slot: KL over all its samples
       | <------------------------- Stop -- |   with a reason
+      | -- Alive ------------------------> |   twice a second: how much is done
       | -- Failure ----------------------> |   a slot or an environment that cannot go on
 
 Answers repeat the (generation, iteration, round) of the question; others are ignored. Any message
@@ -132,15 +133,31 @@ class Measured:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Failure:
-    """Something only a person can mend: a sentence that names slot, environment and step.
+class Alive:
+    """A sign of life, twice a second from when the worker is ready; lost ones do no harm.
 
     Example:
-        Failure(worker="w-3f2a", generation=1, usage=False, reason="slot 3, environment 1, ...")
+        Alive(worker="w-3f2a", generation=1, done=48211)
     """
 
     worker: str
     generation: int
+    done: int
+    """Steps and tasks since the process began: as long as it grows, nothing hangs."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Failure:
+    """Something went wrong that may be a person's to mend; a sentence says where and what.
+
+    Example:
+        Failure(worker="w-3f2a", generation=1, usage=False, slot=3, reason="slot 3, ...")
+    """
+
+    worker: str
+    generation: int
+    slot: int
+    """Whose environment failed; -1: none, `usage` is true."""
     usage: bool
     """True: the settings ask for something impossible; False: it happened on the way."""
     reason: str
@@ -242,6 +259,6 @@ class Stop:
 
 Answer = Collected | Gradient | Measured
 Task = Collect | Update | Measure
-ToLearner = Hello | Ready | Answer | Failure
+ToLearner = Hello | Ready | Alive | Answer | Failure
 ToWorker = Welcome | Restore | Task | Stop
 Message = ToLearner | ToWorker

@@ -45,6 +45,7 @@ class SocketLearnerLink:
         self._others, self._alarm = others, alarm
         self._peers: dict[str, _Peer] = {}
         self._names: dict[int, str] = {}
+        self._cut: set[str] = set()
         self._events: deque[ToLearner | WorkerLost | Refused] = deque()
         self._others_ready = False
         self._poll = select.poll()
@@ -92,8 +93,21 @@ class SocketLearnerLink:
 
     def forget(self, name: str) -> None:
         """Close the pair of a worker whose process has ended, if it is still there."""
+        self._cut.discard(name)
         if name in self._peers:
             self._lose(name)
+
+    def cut(self, worker: str) -> None:
+        """See `LearnerLink`. Whoever started the worker asks `was_cut`."""
+        if worker in self._peers:
+            self._drop(worker)
+            self._cut.add(worker)
+        else:
+            self._others.cut(worker)
+
+    def was_cut(self, name: str) -> bool:
+        """Was this worker given up? Its process may still be there."""
+        return name in self._cut
 
     def let_go(self) -> None:
         """Close all pairs: the workers' processes end."""
@@ -215,6 +229,7 @@ class SocketWorkerLink:
         self._incoming = select.poll()
         self._incoming.register(self._end, select.POLLIN)
         self._orphaned, self._closed = orphaned, False
+        self._sending = threading.Lock()
         threading.Thread(target=self._watch, daemon=True).start()
 
     def receive(self, timeout: float) -> ToWorker | LearnerLost | Refused | None:
@@ -236,8 +251,8 @@ class SocketWorkerLink:
 
     def send(self, message: ToLearner) -> None:
         """See `WorkerLink`."""
-        unsent = self._channel.pieces(message)
-        with contextlib.suppress(ConnectionError):
+        with self._sending, contextlib.suppress(ConnectionError):
+            unsent = self._channel.pieces(message)
             while unsent:
                 unsent = without(unsent, self._end.sendmsg(unsent))
 

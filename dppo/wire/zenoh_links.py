@@ -26,8 +26,8 @@ os.environ.setdefault("ZENOH_RUNTIME", "(tx: (worker_threads: 4), rx: (worker_th
 
 import zenoh
 
-from dppo.errors import UsageError
-from dppo.wire.codec import Frame, encode
+from dppo.errors import UsageError, WireError
+from dppo.wire.codec import encode, sealed, unsealed
 from dppo.wire.inbox import Inbox, next_event
 from dppo.wire.links import LearnerLost, Refused, WorkerLost
 from dppo.wire.messages import ToLearner, ToWorker
@@ -142,13 +142,17 @@ class _End:
         self._session, self._ring = session, ring
         self._inbox: Inbox = queue.SimpleQueue()
         self._publishers: dict[str, zenoh.Publisher] = {}
+        self._sending = threading.Lock()
         self._kept: list[object] = []  # an entity is undeclared when nobody refers to it
 
     def _subscribe(self, key: str) -> None:
         def arrived(sample: zenoh.Sample) -> None:
             attachment = sample.attachment
             header = attachment.to_bytes() if attachment is not None else b""
-            self._inbox.put(Frame(header, sample.payload.to_bytes()))
+            try:
+                self._inbox.put(unsealed(header, sample.payload.to_bytes()))
+            except WireError as error:
+                self._inbox.put(Refused(str(error)))
             self._ring()
 
         handler = zenoh.handlers.Callback(arrived, indirect=False)
@@ -170,12 +174,14 @@ class _End:
         self._kept.append(self._session.liveliness().declare_token(key))
 
     def _put(self, key: str, message: ToLearner | ToWorker) -> None:
-        if key not in self._publishers:
-            self._publishers[key] = self._session.declare_publisher(
-                key, congestion_control=zenoh.CongestionControl.BLOCK
-            )
         frame = encode(message)
-        self._publishers[key].put(zenoh.ZBytes(frame.body), attachment=frame.header)
+        with self._sending:
+            if key not in self._publishers:
+                self._publishers[key] = self._session.declare_publisher(
+                    key, congestion_control=zenoh.CongestionControl.BLOCK
+                )
+            publisher = self._publishers[key]
+        publisher.put(zenoh.ZBytes(frame.body), attachment=sealed(frame))
 
     def close(self) -> None:
         """Close the session; give up waiting for it after three seconds."""
@@ -209,6 +215,10 @@ class ZenohLearnerLink(_End):
     def send(self, worker: str, message: ToWorker) -> None:
         """See `LearnerLink`."""
         self._put(f"{BASE}/p/{worker}", message)
+
+    def cut(self, worker: str) -> None:
+        """See `LearnerLink`. The transport notices by itself when the connection is gone."""
+        self._publishers.pop(f"{BASE}/p/{worker}", None)
 
 
 class ZenohWorkerLink(_End):

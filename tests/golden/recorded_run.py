@@ -31,6 +31,7 @@ from dppo.wire.memory_links import MemoryHub, MemoryLearnerLink
 from dppo.wire.messages import Collect, Gradient, Measure, Update, Welcome
 from learner.chief import Chief
 from learner.exchange import Exchange
+from learner.soundness import Expected
 from learner.state import State
 from workers.membership import Member
 from workers.slots import Slots
@@ -134,14 +135,13 @@ def train(config):
     hub = MemoryHub()
     link = _Recorder(hub.learner())
     welcome = Welcome(run="golden", generation=1, config=json.dumps(config.to_dict()))
-    size = 0
-    exchange = Exchange(link, welcome, Leases(SLOTS), lambda: None, lambda: size)
+    exchange = Exchange(link, welcome, Leases(SLOTS), lambda: None)
     member = Member("w0", hub.worker("w0"), 60.0)
     thread = threading.Thread(target=member.live, daemon=True)
     thread.start()
     spaces = exchange.wait_for_environment()
     networks = Networks.build(spaces, config)
-    size = networks.size
+    exchange.expected = Expected(spaces, networks.size, ENVS * STEPS)
     state = State.initial(networks, spaces.obs_size, config)
     chief = Chief(state, networks, config, 1, exchange, print)
     for _ in range(ITERATIONS):

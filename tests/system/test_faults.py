@@ -74,7 +74,8 @@ def test_a_stopped_local_worker_is_replaced_and_costs_no_bits(harness, undisturb
     victim = max(descendants(learner.popen.pid))
     os.kill(victim, signal.SIGSTOP)
     assert learner.wait() == 0, learner.text
-    assert "is stopped; starting another in its place" in learner.text
+    assert "silent for 3." in learner.text
+    assert "was given up; starting another in its place" in learner.text
     assert not is_alive(victim)
     assert result(run_dir)["parameters_sha256"] == undisturbed
 

@@ -1,5 +1,6 @@
 """Leases: nobody without work, no slot without a holder, no state that is only believed in."""
 
+from copy import deepcopy
 from itertools import product
 
 import pytest
@@ -18,9 +19,7 @@ def with_workers(num_slots, *workers):
 
 def apply(leases, event):
     """Let an event happen to a copy; the copy and what the event said."""
-    after = Leases(
-        leases.num_slots, list(leases.workers), dict(leases.holder), set(leases.current)
-    )
+    after = deepcopy(leases)
     kind, *who = event
     match kind:
         case "join":
@@ -87,7 +86,7 @@ EVENTS = [("spread",), *product(("join", "leave", "work"), "abc")]
 
 def signature(leases):
     held = tuple(sorted(leases.holder.items()))
-    return tuple(leases.workers), held, tuple(sorted(leases.current))
+    return tuple(leases.workers), held, tuple(sorted(leases.current)), leases.spread_over
 
 
 @pytest.mark.parametrize("num_slots", [1, 2, 4])
@@ -136,10 +135,9 @@ def test_a_newcomer_waits_for_the_next_spread():
 def test_slots_are_spread_in_the_order_of_joining():
     leases = with_workers(7, "zoe", "adam", "mia")
     leases.spread()
-    # borders at 7 k / 3: 0, 2, 4, 7
-    assert leases.slots_of("zoe") == (0, 1)
-    assert leases.slots_of("adam") == (2, 3)
-    assert leases.slots_of("mia") == (4, 5, 6)
+    assert leases.slots_of("zoe") == (0, 1, 2)  # the odd one goes to who joined first
+    assert leases.slots_of("adam") == (3, 4)
+    assert leases.slots_of("mia") == (5, 6)
 
 
 def test_workers_beyond_the_slots_are_spares_and_inherit_first():
@@ -152,8 +150,8 @@ def test_workers_beyond_the_slots_are_spares_and_inherit_first():
 
 def test_the_slots_of_a_lost_worker_go_to_whoever_holds_the_fewest():
     leases = with_workers(4, "a", "b", "c")
-    leases.spread()  # a 0, b 1, c 2 3
-    assert leases.leave("c") == {"a": (2,), "b": (3,)}
+    leases.spread()  # a 0 1, b 2, c 3
+    assert leases.leave("a") == {"b": (0,), "c": (1,)}
 
 
 def test_slots_wait_while_nobody_is_there():
@@ -185,3 +183,53 @@ def test_a_slot_stays_current_where_the_next_spread_leaves_it():
     leases.join("b")
     leases.spread()  # slot 1 goes to b, which knows nothing of it
     assert leases.current == {0}
+
+
+def test_slots_are_spread_by_measured_speed():
+    leases = with_workers(8, "fast", "slow")
+    leases.seconds = {"fast": 1.0, "slow": 3.0}
+    leases.spread()  # 6 x 1 s against 2 x 3 s
+    assert (leases.slots_of("fast"), leases.slots_of("slow")) == ((0, 1, 2, 3, 4, 5), (6, 7))
+
+
+def test_a_worker_ten_times_slower_than_its_peer_stands_by():
+    leases = with_workers(8, "fast", "slow")
+    leases.seconds = {"fast": 1.0, "slow": 10.0}
+    leases.spread()  # all 8 take 8 s on the fast one, a single slot takes 10 s on the slow one
+    assert leases.spares == ("slow",)
+    assert leases.leave("fast") == {"slow": tuple(range(8))}
+
+
+def test_a_worker_that_was_not_measured_counts_as_the_fastest_one():
+    leases = with_workers(9, "a", "b", "new")
+    leases.seconds = {"a": 1.0, "b": 3.0}
+    leases.spread()  # new counts as 1 s: 4 x 1 s, 1 x 3 s, 4 x 1 s
+    assert [len(leases.slots_of(worker)) for worker in leases.workers] == [4, 1, 4]
+
+
+def test_slots_stay_where_they_are_for_a_small_difference_of_speed():
+    leases = with_workers(8, "a", "b")
+    leases.spread()
+    leases.seconds = {"a": 1.0, "b": 1.4}  # 4 x 1.4 s = 5.6 s now, 5 x 1 s at best: 1.12 times
+    leases.spread()
+    assert [len(leases.slots_of(worker)) for worker in leases.workers] == [4, 4]
+    leases.seconds = {"a": 1.0, "b": 1.6}  # 6.4 s against 5 s: 1.28 times
+    leases.spread()
+    assert [len(leases.slots_of(worker)) for worker in leases.workers] == [5, 3]
+
+
+def test_a_faster_spare_takes_the_place_of_a_slow_worker():
+    leases = with_workers(2, "a", "slow", "spare")
+    leases.spread()
+    leases.seconds = {"a": 1.0, "slow": 4.0}  # the spare counts as 1 s
+    leases.spread()
+    assert leases.spares == ("slow",)
+
+
+def test_an_even_spread_is_restored_after_a_loss():
+    leases = with_workers(16, "a", "b")
+    leases.spread()
+    leases.leave("b")
+    leases.join("b")
+    leases.spread()
+    assert [len(leases.slots_of(worker)) for worker in leases.workers] == [8, 8]

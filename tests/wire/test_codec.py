@@ -12,7 +12,16 @@ from hypothesis import strategies as st
 
 from dppo.errors import WireError
 from dppo.wire import messages
-from dppo.wire.codec import MAX_BODY, MAX_HEADER, VERSION, Frame, decode, encode
+from dppo.wire.codec import (
+    MAX_BODY,
+    MAX_HEADER,
+    VERSION,
+    Frame,
+    decode,
+    encode,
+    sealed,
+    unsealed,
+)
 from dppo.wire.messages import Message
 
 PLACE = {"generation": 1, "iteration": 4, "round": 2}
@@ -35,7 +44,8 @@ EXAMPLES: list[Message] = [
         worker="w", **PLACE, first=4, size=4, stopped=(5, 7), vector=NARROW, sums=WIDE
     ),
     messages.Measured(worker="w", **PLACE, slot=3, kl=5.2, weight=512.0),
-    messages.Failure(worker="w", generation=1, usage=False, reason="slot 3, environment 1 …"),
+    messages.Alive(worker="w", generation=1, done=48211),
+    messages.Failure(worker="w", generation=1, slot=3, usage=False, reason="slot 3, env 1 …"),
     messages.Welcome(run="3f9c", generation=1, config='{"run": {}}'),
     messages.Restore(generation=1, iteration=4, slot=3, snapshot=b""),
     messages.Collect(
@@ -123,7 +133,7 @@ def test_a_header_of_another_form_is_refused(header):
     refused(Frame(msgpack.packb(header), b""), "a header is not .version, message name, field")
 
 
-@pytest.mark.parametrize("version", [0, 2, -1, 2**63])
+@pytest.mark.parametrize("version", [0, 1, 3, -1, 2**63])
 def test_another_version_is_refused_with_advice(version):
     sentence = f"protocol version {version}, this process speaks {VERSION}; install the same dppo"
     refused(framed("Stop", ["x", True], version=version), sentence)
@@ -240,3 +250,16 @@ def test_any_field_values_are_a_message_or_a_wire_error(name, data):
     count = len(fields(getattr(messages, name)))
     chosen = data.draw(st.lists(values, min_size=count, max_size=count))
     message_or_wire_error(framed(name, chosen, data.draw(st.binary(max_size=12))))
+
+
+def test_a_frame_that_was_damaged_is_refused_whichever_byte_it_was():
+    frame = Frame(framed("Stop", ["x", True]).header, bytes(range(200)))
+    sent = sealed(frame)
+    assert unsealed(sent, bytes(frame.body)) == frame
+    for place in range(len(sent) + len(frame.body)):
+        damaged = bytearray(sent + frame.body)
+        damaged[place] ^= 0x10
+        with pytest.raises(WireError, match="do not match their checksum"):
+            unsealed(bytes(damaged[: len(sent)]), bytes(damaged[len(sent) :]))
+    with pytest.raises(WireError, match=r"0 \+ 0 bytes do not match"):
+        unsealed(b"", b"")

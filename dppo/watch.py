@@ -1,0 +1,74 @@
+"""Tells a worker that stalls from one that is only slow. A state machine without clock or socket.
+
+Twice a second a worker says how much it has done (`Alive`). A worker that owes an answer stalls
+when nothing is heard of it for longer than usual (its process is stopped, or its messages do not
+arrive), or when it lives but its count stands still for longer than usual (its environment hangs).
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from dppo.patience import Patience
+
+
+@dataclass(slots=True)
+class _Signs:
+    done: int
+    moved: float
+    heard: float
+
+
+@dataclass(slots=True)
+class Watch:
+    """The workers' signs of life; `now` is any clock that only counts while we listen [s]."""
+
+    patience: Patience
+    """With a worker that lives and makes no progress."""
+    pulse: Patience
+    """With a worker of which nothing is heard."""
+    _signs: dict[str, _Signs] = field(default_factory=dict)
+
+    def hear(self, worker: str, now: float, done: int | None = None) -> None:
+        """Something came from a worker: an answer, or the count of what it has done."""
+        signs = self._signs.setdefault(worker, _Signs(-1, now, now))
+        if done is not None:
+            self.pulse.note(now - signs.heard)
+        signs.heard = now
+        if done == signs.done:
+            return
+        if done is not None:
+            self.patience.note(now - signs.moved)
+            signs.done = done
+        signs.moved = now
+
+    def forget(self, worker: str) -> None:
+        """A worker is gone."""
+        self._signs.pop(worker, None)
+
+    def look(self, now: float, owing: Iterable[str]) -> list[str]:
+        """Who stalls, of those that owe an answer; nobody can stall who owes none."""
+        busy = set(owing)
+        for worker, signs in self._signs.items():
+            if worker not in busy:
+                signs.moved = signs.heard = now
+        stalled = sorted(worker for worker in busy if self._stalls(worker, now))
+        if stalled:
+            self.patience.double()
+            self.pulse.double()
+        return stalled
+
+    def calm(self) -> None:
+        """Nobody is waited for any more: as patient as before."""
+        self.patience.calm()
+        self.pulse.calm()
+
+    def _stalls(self, worker: str, now: float) -> bool:
+        signs = self._signs.setdefault(worker, _Signs(-1, now, now))
+        return now - signs.heard > self.pulse.limit or now - signs.moved > self.patience.limit
+
+    def describe(self, worker: str, now: float) -> str:
+        """A silence in words: is the process quiet, or does it live and hang?"""
+        signs = self._signs.setdefault(worker, _Signs(-1, now, now))
+        if now - signs.heard > 0.5 * (now - signs.moved):
+            return f"silent for {now - signs.heard:.1f} s"
+        return f"alive but without progress for {now - signs.moved:.1f} s"

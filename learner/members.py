@@ -1,0 +1,183 @@
+"""Who takes part: workers join, are watched, and leave; their slots go to others at once."""
+
+import logging
+import re
+from collections import Counter
+from collections.abc import Callable
+
+from dppo.errors import RunFailedError, UsageError
+from dppo.leases import Leases
+from dppo.pace import Pace
+from dppo.watch import Watch
+from dppo.wire.links import LearnerLink
+from dppo.wire.messages import Hello, Ready, Stop, Welcome
+from learner.questions import Questions
+from learner.roster import Roster
+
+log = logging.getLogger("learner")
+_LOOK_SECONDS = 0.25
+_MOST_LOSSES = 30
+"""Holders that one slot may lose over one question."""
+_MOST_STALLS = 5
+"""Holders of one slot that may be given up over one question; each is waited for twice as long."""
+
+
+class Members:
+    """The workers of this learner."""
+
+    def __init__(
+        self,
+        link: LearnerLink,
+        welcome: Welcome,
+        leases: Leases,
+        questions: Questions,
+        watch: Watch,
+        clock: Callable[[], float],
+    ) -> None:
+        self._link, self._welcome, self._leases = link, welcome, leases
+        self._questions, self._watch, self._clock = questions, watch, clock
+        self.roster, self.pace = Roster(), Pace()
+        self._listened, self._listened_until = 0.0, clock()
+        self._look_again = 0.0
+        self._losses: Counter[int] = Counter()
+        self._stalls: Counter[int] = Counter()
+
+    @property
+    def now(self) -> float:
+        """Seconds that this learner has listened: while it was stopped, nobody was silent."""
+        return self._listened
+
+    def look(self) -> None:
+        """Give up who stalls; to be called at least as often as anything is received.
+
+        Raises:
+            RunFailedError: as `lose`, or a slot stalls wherever it is.
+        """
+        now = self._clock()
+        self._listened += min(now - self._listened_until, 2 * _LOOK_SECONDS)
+        self._listened_until = now
+        if self._listened < self._look_again:
+            return
+        self._look_again = self._listened + _LOOK_SECONDS
+        owing = [worker for worker in self._leases.workers if self._questions.owes(worker)]
+        for worker in self._watch.look(self._listened, owing):
+            self._give_up(worker)
+
+    def _give_up(self, worker: str) -> None:
+        why, held = self._watch.describe(worker, self._listened), self._leases.slots_of(worker)
+        who = self.roster.describe(worker)
+        log.warning("%s stalls: %s; others take its slots %s", who, why, listed(held))
+        self._stalls.update(held)
+        self.part(worker, f"it was given up, {why}")
+        self._link.cut(worker)
+        if any(self._stalls[slot] > _MOST_STALLS for slot in held):
+            raise RunFailedError(
+                f"slots {listed(held)} stall on worker after worker, the last one was {who}, "
+                f"{why}; look what their environments wait for, or give a larger --patience"
+            )
+
+    def hear(self, worker: str, done: int | None = None) -> bool:
+        """Something came from a worker; is it one of us? One that is not has to join anew."""
+        if worker in self._leases.workers:
+            self._watch.hear(worker, self._listened, done)
+            return True
+        if done is not None:
+            self._link.send(worker, Stop(reason="the learner does not know it", final=False))
+        return worker in self.roster
+
+    def calm(self) -> None:
+        """A question was answered: what happened on the way is over."""
+        self._losses.clear()
+        self._stalls.clear()
+        self._watch.calm()
+
+    def greet(self, hello: Hello) -> None:
+        """A worker asks to join."""
+        if not re.fullmatch(r"[A-Za-z0-9-]{1,64}", hello.worker):
+            log.warning("ignored a worker called %r: letters, digits and '-' only", hello.worker)
+            return
+        if hello.worker in self._leases.workers:
+            self.lose(hello.worker, "it joins anew")
+        self.roster.greet(hello)
+        self._link.send(hello.worker, self._welcome)
+
+    def admit(self, ready: Ready) -> None:
+        """A worker has built the environment: it takes over what nobody holds."""
+        if ready.worker not in self.roster or ready.generation != self._welcome.generation:
+            return
+        objection = self.roster.admit(ready)
+        if objection:
+            self.expel(ready.worker, objection)
+            return
+        taken = self._leases.join(ready.worker)
+        log.info("worker %s joined, %d in the run", ready.worker, len(self._leases.workers))
+        self._questions.ask(ready.worker, taken)
+
+    def lose(self, worker: str, why: str) -> None:
+        """A worker is gone: its slots go to others.
+
+        Raises:
+            RunFailedError: one slot has lost holder after holder over the same question.
+        """
+        self.roster.forget(worker)
+        self._questions.forget(worker)
+        self._watch.forget(worker)
+        self.pace.forget(worker)
+        if worker not in self._leases.workers:
+            return
+        held = self._leases.slots_of(worker)
+        heirs = self._leases.leave(worker)
+        log.info("worker %s left: %s; %d in the run", worker, why, len(self._leases.workers))
+        self._losses.update(held)
+        if any(self._losses[slot] > _MOST_LOSSES for slot in held):
+            raise RunFailedError(
+                f"slots {listed(held)} have lost more than {_MOST_LOSSES} workers in a row, the "
+                f"last one was {worker}: {why}; see what the workers printed"
+            )
+        for heir, slots in heirs.items():
+            self.pace.spoil(heir)
+            self._questions.ask(heir, slots)
+
+    def part(self, worker: str, why: str) -> None:
+        """Take a worker's slots away; it may join anew."""
+        self._link.send(worker, Stop(reason=why, final=False))
+        self.lose(worker, why)
+
+    def expel(self, worker: str, reason: str) -> None:
+        """Send a worker away for good."""
+        log.warning("%s; it is sent away", reason)
+        self._link.send(worker, Stop(reason=reason, final=True))
+        self.lose(worker, "it was sent away")
+
+    def refuse_setup(self, worker: str, reason: str) -> None:
+        """A worker cannot make the environment: on the first one it is the settings' fault.
+
+        Raises:
+            UsageError: no worker has managed it yet.
+        """
+        if self.roster.first is None:
+            raise UsageError(reason)
+        self.expel(worker, f"{self.roster.describe(worker)}: {reason}")
+
+    def waiting_for(self, missing: tuple[int, ...]) -> str:
+        """Who keeps us waiting for these slots, in words."""
+        if not self._leases.workers:
+            return f"waiting for any worker, for slots {listed(missing)}"
+        parts = []
+        for worker in self._leases.workers:
+            held = tuple(slot for slot in self._leases.slots_of(worker) if slot in missing)
+            if held:
+                silence = self._watch.describe(worker, self._listened)
+                parts.append(f"{self.roster.describe(worker)} (slots {listed(held)}), {silence}")
+        return f"waiting for {'; '.join(parts)}"
+
+
+def listed(slots: tuple[int, ...] | range) -> str:
+    """Slots in words: 0-5, 7; none."""
+    runs: list[list[int]] = []
+    for slot in slots:
+        if runs and runs[-1][-1] == slot - 1:
+            runs[-1][1:] = [slot]
+        else:
+            runs.append([slot])
+    return ", ".join("-".join(map(str, run)) for run in runs) or "none"

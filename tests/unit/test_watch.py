@@ -1,0 +1,98 @@
+"""Who stalls and who is only slow; how fast each one is."""
+
+from dppo.pace import Pace
+from dppo.patience import Patience
+from dppo.watch import Watch
+
+PULSE = 2.0
+
+
+def watch(first=2.0, least=1.0):
+    return Watch(Patience(first=first, least=least), Patience(first=PULSE, least=PULSE))
+
+
+def test_a_worker_stalls_when_it_owes_an_answer_and_its_count_stands_still():
+    w = watch()
+    for now in (0.0, 0.5, 1.0, 1.5, 2.0):
+        w.hear("a", now, done=7)
+        assert w.look(now, ["a"]) == []
+    w.hear("a", 2.5, done=7)
+    assert w.look(2.5, ["a"]) == ["a"]
+    assert w.describe("a", 2.5) == "alive but without progress for 2.5 s"
+
+
+def test_a_worker_of_which_nothing_is_heard_stalls_sooner_than_one_that_lives():
+    w = watch(first=60.0)
+    w.hear("a", 0.0, done=1)
+    w.hear("b", 0.0, done=1)
+    for now in (1.0, 2.0, 3.0):
+        w.hear("a", now, done=1)
+    assert w.look(3.0, ["a", "b"]) == ["b"]
+    assert w.describe("b", 3.0) == "silent for 3.0 s"
+
+
+def test_a_count_that_grows_and_an_answer_are_progress():
+    w = watch()
+    w.hear("a", 0.0, done=1)
+    w.hear("a", 1.9, done=2)
+    w.hear("a", 3.8)
+    assert w.look(5.7, ["a"]) == []
+    assert w.look(5.9, ["a"]) == ["a"]
+    assert w.describe("a", 5.9) == "silent for 2.1 s"
+
+
+def test_silence_counts_from_when_the_worker_began_to_owe():
+    w = watch()
+    w.hear("a", 0.0, done=1)
+    assert w.look(100.0, []) == []
+    assert w.look(101.9, ["a"]) == []
+    assert w.look(102.1, ["a"]) == ["a"]
+
+
+def test_of_two_workers_only_the_one_that_stalls_is_named_and_forgotten_ones_start_anew():
+    w = watch()
+    w.hear("a", 0.0)
+    w.hear("b", 2.0)
+    assert w.look(2.5, ["a", "b"]) == ["a"]
+    w.forget("a")
+    assert w.look(2.6, ["a", "b"]) == []
+
+
+def test_the_limit_follows_the_silences_seen_and_doubles_when_someone_was_given_up():
+    w = watch(first=60.0, least=1.0)
+    for k in range(9):
+        w.hear("a", 4.0 * k, done=k)  # always 4 s apart: no deviation
+    assert (w.patience.limit, w.pulse.limit) == (4.0, 4.0)
+    assert w.look(36.1, ["a"]) == ["a"]  # 4.1 s after the last one
+    assert (w.patience.limit, w.pulse.limit) == (8.0, 8.0)
+    assert w.look(39.9, ["a"]) == []
+    w.calm()
+    assert (w.patience.limit, w.pulse.limit) == (4.0, 4.0)
+
+
+def test_pace_is_the_median_of_the_newest_collections_per_slot():
+    pace = Pace()
+    for seconds in (8.0, 1.0, 2.0, 3.0, 100.0, 3.0):  # the first one is forgotten
+        pace.begin("a", 4, now=10.0)
+        pace.end("a", now=10.0 + seconds)
+    assert pace.seconds_per_slot == {"a": 3.0 / 4}
+
+
+def test_a_collection_that_was_spoiled_or_never_begun_does_not_count():
+    pace = Pace()
+    pace.begin("a", 1, now=0.0)
+    pace.spoil("a")
+    pace.end("a", now=5.0)
+    pace.end("b", now=5.0)
+    assert pace.seconds_per_slot == {}
+
+
+def test_a_spare_is_forgiven_its_pace_in_the_end():
+    pace = Pace()
+    pace.begin("a", 1, now=0.0)
+    pace.end("a", now=9.0)
+    for _ in range(200):
+        pace.stand_by("a")
+    assert pace.seconds_per_slot == {"a": 9.0}
+    pace.stand_by("a")
+    assert pace.seconds_per_slot == {}
