@@ -29,6 +29,7 @@ class GrowingFile:
         self._size, self._changed = size, changed
         self._waiting: deque[bytes] = deque()
         self._waiting_bytes = 0
+        self._is_cut = False
         self._lock = threading.Lock()
 
     @property
@@ -55,7 +56,7 @@ class GrowingFile:
         Raises:
             OSError: it did not take everything; what it did take are whole lines.
         """
-        if not self._waiting:
+        if self._is_cut and not self._waiting:
             return
         handle = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
@@ -63,6 +64,7 @@ class GrowingFile:
             self._size = min(self._size, there)  # less: somebody has emptied the file
             if there > self._size:
                 os.ftruncate(handle, self._size)
+            self._is_cut = True
             while self._waiting:
                 self._move_one(handle)
         finally:
@@ -102,6 +104,7 @@ class Disk:
         """A file of the folder that goes on after `size` bytes."""
         file = GrowingFile(self._folder / name, size, self._soon)
         self._files.append(file)
+        self._soon()
         return file
 
     def run(self, work: Callable[[], None]) -> Future[None]:

@@ -26,6 +26,7 @@ _COLUMNS = (
     "cluster/unsaved_iterations",
 )  # fmt: skip
 """Of progress.csv; metrics.jsonl has the same."""
+_HEADER = ("iteration", "time/total_timesteps", *_COLUMNS)
 
 
 class RunLog:
@@ -38,8 +39,7 @@ class RunLog:
         # the iteration under way notes what was dropped, counted from 0
         self._ledger, _ = _taken_up(folder, "ledger.jsonl", iteration - 1, disk)
         self._table = disk.file("progress.csv", 0)
-        header = _cells(["iteration", "time/total_timesteps", *_COLUMNS])
-        self._table.write(header + b"".join(map(_row, rows)))
+        self._table.write(_cells([*_HEADER]) + b"".join(map(_row, rows)))
         self._board: Any = None
 
     def write(self, report: IterationReport, speed: float, round_ms: float, unsaved: int) -> None:
@@ -133,8 +133,7 @@ def _line(row: dict[str, Any]) -> bytes:
 
 
 def _row(row: dict[str, Any]) -> bytes:
-    cells = [row.get(name, "") for name in _COLUMNS]
-    return _cells([row["iteration"], row["time/total_timesteps"], *cells])
+    return _cells([row.get(name, "") for name in _HEADER])
 
 
 def _cells(cells: list[Any]) -> bytes:
