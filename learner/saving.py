@@ -54,6 +54,7 @@ class Saving:
         self._best_mean = float("-inf")
         self._job: Future[None] | None = None
         self._failure: OSError | None = None
+        self._is_trying_again = False
         self._was_slow = False
 
     def resumed(self, state: State) -> None:
@@ -67,7 +68,7 @@ class Saving:
     def begin(self, state: State) -> None:
         """Save beside the training, unless the last one is still being written; never waits."""
         if self._job is not None and not self._job.done():
-            if not self._was_slow and self._failure is None:
+            if not self._was_slow and self._failure is None and not self._is_trying_again:
                 self._was_slow = True
                 log.warning(
                     "the disk is slow: the checkpoint of iteration %d is left out, the one before "
@@ -103,7 +104,8 @@ class Saving:
 
     def _save(self, state: State, last: bool = False) -> None:
         """In the disk's thread: all attempts to save one state."""
-        failure = insist(lambda: self._write(state), self._pause)
+        failure = insist(lambda: self._write(state), self._pause_between)
+        self._is_trying_again = False
         before, self._failure = self._failure, failure
         if failure is None and before is not None:
             log.warning("checkpoints are written again, up to iteration %d", state.iteration)
@@ -116,6 +118,10 @@ class Saving:
                 failure,
                 _advice(failure),
             )
+
+    def _pause_between(self, seconds: float) -> None:
+        self._is_trying_again = True
+        self._pause(seconds)
 
     def _write(self, state: State) -> None:
         self._disk.write_out()  # the lines of the iterations that the checkpoint is beyond

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from dppo.config import Config
 from learner import disk as disk_module
+from learner.console import Console
 from learner.disk import Disk, GrowingFile
 from learner.report import DroppedGradients, IterationReport
 from learner.runlog import RunLog
@@ -229,3 +231,14 @@ def test_no_file_is_left_open(tmp_path):
     targets = [str(handle.readlink()) for handle in handles if handle.is_symlink()]
     assert targets
     assert not [target for target in targets if target.startswith(str(tmp_path))]
+
+
+def test_output_that_is_on_the_full_disk_costs_lines_and_not_the_run(monkeypatch):
+    with Path("/dev/full").open("w") as full:
+        monkeypatch.setattr("sys.stdout", full)
+        console = Console(Config(), 0)
+        for _ in range(1000):
+            console.say("a line of output that a full disk does not take")
+        monkeypatch.undo()
+        with contextlib.suppress(OSError):
+            full.close()

@@ -53,7 +53,8 @@ def test_what_is_begun_is_on_the_disk_in_the_end_with_its_facts(tmp_path):
 
 
 def test_attempts_are_made_with_growing_pauses_and_the_last_error_is_given():
-    pauses, attempts = [], []
+    pauses: list[float] = []
+    attempts: list[int] = []
 
     def fails():
         attempts.append(1)
@@ -136,16 +137,16 @@ def test_a_last_checkpoint_gets_another_chance_after_one_that_failed(tmp_path, m
     assert names(tmp_path / "checkpoints") == [name_of(2)]
 
 
-def test_a_slow_disk_costs_checkpoints_and_is_said_once(tmp_path, monkeypatch, caplog):
+def test_a_slow_disk_costs_checkpoints_and_is_said_once(tmp_path, caplog):
     """The first save is held in the middle, as on a disk that takes its time."""
     held, go_on = threading.Event(), threading.Event()
 
-    def pause(_seconds):
+    def facts(_state):
         held.set()
         assert go_on.wait(10)
+        return {}
 
-    saving = saver(tmp_path, pause)
-    FaultyDisk(monkeypatch, at=3, way="fails once")
+    saving = Saving(Disk(tmp_path, "logs"), tmp_path / "checkpoints", 2, facts)
     saving.begin(state_at(2))
     assert held.wait(10)
     for iteration in (4, 6):
@@ -156,6 +157,24 @@ def test_a_slow_disk_costs_checkpoints_and_is_said_once(tmp_path, monkeypatch, c
     go_on.set()
     saving.finish(state_at(7))
     assert names(tmp_path / "checkpoints") == [name_of(2), name_of(7)]
+
+
+def test_a_disk_that_fails_is_not_called_slow(tmp_path, monkeypatch, caplog):
+    held, go_on = threading.Event(), threading.Event()
+
+    def pause(_seconds):
+        held.set()
+        assert go_on.wait(10)
+
+    saving = saver(tmp_path, pause)
+    FaultyDisk(monkeypatch, at=3, way="fails once")
+    saving.begin(state_at(2))
+    assert held.wait(10)
+    saving.begin(state_at(4))
+    go_on.set()
+    saving.finish(state_at(4))
+    assert "slow" not in caplog.text
+    assert names(tmp_path / "checkpoints") == [name_of(2), name_of(4)]
 
 
 def test_an_error_that_is_not_the_disks_is_not_swallowed(tmp_path):

@@ -250,9 +250,9 @@ def killed_at(call, number, folder):
         cwd=ROOT, capture_output=True, timeout=60, check=False,
     )  # fmt: skip
     assert (done.returncode == 0) == (number == 0), done.stderr.decode()
-    lines = trace.read_text().splitlines()
-    saving = next((line.split()[0] for line in lines if str(folder) in line), "")
-    return [line for line in lines if line.startswith(f"{saving} {call}(")]  # of that thread only
+    lines = [line.split(maxsplit=1) for line in trace.read_text().splitlines()]
+    thread = next((number for number, what in lines if str(folder) in what), None)
+    return [what for number, what in lines if number == thread and what.startswith(f"{call}(")]
 
 
 @pytest.mark.slow
