@@ -1,5 +1,6 @@
 """What all commands share: threads, command line, log lines, exit codes."""
 
+import contextlib
 import importlib.util
 import logging
 import os
@@ -85,8 +86,9 @@ def leave(work: Callable[[], int]) -> NoReturn:
         code = 0
     except OSError as error:
         code = _say(error, 1)
-    sys.stdout.flush()
-    sys.stderr.flush()
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):  # a pipe that nobody reads, a file on a full disk
+            stream.flush()
     os._exit(code)
 
 

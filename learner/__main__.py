@@ -113,7 +113,7 @@ def _train(config: Config, args: ProcessArgs) -> int:
     folder = RunDirectory.open(path)
     _check_resume(folder.has_run, path, args.resume)
     folder.check_config(config)
-    log_to_file(path / "log.txt")
+    log_file = log_to_file(path / "log.txt")
     signals = StopSignals()
     count = args.local_workers
     if count < 0:
@@ -140,37 +140,62 @@ def _train(config: Config, args: ProcessArgs) -> int:
     finally:
         workers.end()
         link.close()
+        log_file.settle()
         folder.discard_unused()
 
 
 def _run(session: "Session", signals: "StopSignals", folder: "RunDirectory", stop_at: int) -> int:
     """Train, and leave result.json and a checkpoint behind however it ends."""
     from dppo.errors import RunFailedError
-    from dppo.process import Terminated
 
     try:
-        result: dict[str, object] | None = session.train(stop_at)
-    except Terminated:
-        session.save()
-        result = session.interrupted()
-        print("stopped; the same command with this --run-dir continues" if result else "stopped")
+        result = _trained(session, stop_at)
     except RunFailedError as error:
         with contextlib.suppress(RunFailedError):  # the disk may be what failed
             session.save()
         failed = session.interrupted()
         if failed is not None:
-            folder.write_json("result.json", failed | {"status": "failed", "reason": str(error)})
+            _leave_result(folder, failed | {"status": "failed", "reason": str(error)})
         raise
     signals.restore()
     if result is None:
         return 0
-    folder.write_json("result.json", result)
+    _leave_result(folder, result)
     print(
         f"{result['status']}: {result['env_steps']:,} steps, parameters_sha256 "
         f"{result['parameters_sha256']}, see {folder.path / 'result.json'}",
         flush=True,
     )
     return 0
+
+
+def _trained(session: "Session", stop_at: int) -> dict[str, object] | None:
+    """The contents of result.json: of a run that has ended, or was stopped after it began."""
+    from dppo.process import Terminated
+
+    try:
+        return session.train(stop_at)
+    except Terminated:
+        session.save()
+        result = session.interrupted()
+        print("stopped; the same command with this --run-dir continues" if result else "stopped")
+        return result
+
+
+def _leave_result(folder: "RunDirectory", result: dict[str, object]) -> None:
+    """Write result.json if the disk takes it: what it says is also in the checkpoint."""
+    import logging
+
+    from learner.saving import insist
+
+    failure = insist(lambda: folder.write_json("result.json", result))
+    if failure is not None:
+        logging.getLogger("learner").warning(
+            "result.json in %s cannot be written: %s; what it would say is printed, and in the "
+            "newest checkpoint",
+            folder.path,
+            failure,
+        )
 
 
 def _check_resume(has_run: bool, path: Path, resume: str) -> None:

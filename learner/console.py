@@ -26,8 +26,13 @@ class Console:
         """One line, above the bar if there is one."""
         if self._bar is not None:
             self._bar.console.print(text, highlight=False)
-        else:
+            return
+        try:
             print(text, flush=True)
+        except BrokenPipeError:
+            raise  # nobody reads any more
+        except OSError:
+            pass  # the output is a file on a full disk: the line is lost, the run goes on
 
     def show(self, report: IterationReport, speed: float) -> None:
         """The newest iteration; `speed` in environment steps per second."""

@@ -1,15 +1,19 @@
 """Reports to files: metrics.jsonl, progress.csv and TensorBoard, in step with the checkpoints.
 
 A resumed run takes up its files where the checkpoint stands: lines of iterations that will be run
-again are cut off, so every iteration has one line.
+again are cut off, so every iteration has one line. Nothing here waits for the disk; see `disk.py`.
 """
 
 import csv
+import io
 import json
+import os
+import socket
 import time
 from pathlib import Path
 from typing import Any
 
+from learner.disk import Disk, GrowingFile
 from learner.report import DroppedGradients, IterationReport
 
 _COLUMNS = (
@@ -19,87 +23,120 @@ _COLUMNS = (
     "train/policy_grad_norm", "train/value_grad_norm", "train/variance_grad_norm",
     "safety/psi", "safety/sigma_mean", "safety/return_std", "safety/cvar10", "safety/adv_v_std",
     "safety/adv_sigma_std", "cluster/workers", "cluster/round_ms", "cluster/dropped",
+    "cluster/unsaved_iterations",
 )  # fmt: skip
 """Of progress.csv; metrics.jsonl has the same."""
+_HEADER = ("iteration", "time/total_timesteps", *_COLUMNS)
 
 
 class RunLog:
     """The metric files of one run."""
 
-    def __init__(self, folder: Path, iteration: int) -> None:
-        """Open the files of a run that stands at the start of `iteration`."""
-        self._folder = folder
-        _cut(folder / "metrics.jsonl", iteration)
-        _cut(folder / "ledger.jsonl", iteration - 1)  # noted by the iteration under way, from 0
-        self._metrics = (folder / "metrics.jsonl").open("a")
-        self._ledger = (folder / "ledger.jsonl").open("a")
-        self._csv = (folder / "progress.csv").open("w", newline="")
-        self._table = csv.writer(self._csv)
-        self._table.writerow(["iteration", "time/total_timesteps", *_COLUMNS])
-        for line in (folder / "metrics.jsonl").read_text().splitlines():
-            self._row(json.loads(line))
+    def __init__(self, folder: Path, iteration: int, disk: Disk) -> None:
+        """Take up the files of a run that stands at the start of `iteration`."""
+        self._disk = disk
+        self._metrics, rows = _taken_up(folder, "metrics.jsonl", iteration, disk)
+        # the iteration under way notes what was dropped, counted from 0
+        self._ledger, _ = _taken_up(folder, "ledger.jsonl", iteration - 1, disk)
+        self._table = disk.file("progress.csv", 0)
+        self._table.write(_cells([*_HEADER]) + b"".join(map(_row, rows)))
         self._board: Any = None
 
-    def write(self, report: IterationReport, speed: float, round_ms: float) -> None:
-        """One iteration; `speed` in environment steps per second, `round_ms` per exchange."""
-        metrics = report.metrics | {"charts/SPS": speed, "cluster/round_ms": round_ms}
+    def write(self, report: IterationReport, speed: float, round_ms: float, unsaved: int) -> None:
+        """One iteration; `speed` in environment steps per second, `round_ms` per exchange.
+
+        `unsaved`: iterations since the newest checkpoint on the disk.
+        """
+        metrics = report.metrics | {
+            "charts/SPS": speed,
+            "cluster/round_ms": round_ms,
+            "cluster/unsaved_iterations": float(unsaved),
+        }
         row = {
             "iteration": report.iteration,
             "time/total_timesteps": report.env_steps,
             "time": time.time(),
             **metrics,
         }
-        self._metrics.write(json.dumps(row) + "\n")
-        self._metrics.flush()
-        self._row(row)
-        self._csv.flush()
+        self._metrics.write(_line(row))
+        self._table.write(_row(row))
         self._scalars(report.env_steps, metrics | {"time/fps": speed})
 
     def dropped(self, line: DroppedGradients) -> None:
         """One ledger line."""
-        row = {"iteration": line.iteration, "update": line.update, "dropped": line.dropped}
-        self._ledger.write(json.dumps(row) + "\n")
-        self._ledger.flush()
-
-    def close(self) -> None:
-        """Flush everything."""
-        for file in (self._metrics, self._ledger, self._csv):
-            file.close()
-        if self._board is not None:
-            self._board.close()
-
-    def _row(self, row: dict[str, Any]) -> None:
-        cells = [row.get(name, "") for name in _COLUMNS]
-        self._table.writerow([row["iteration"], row["time/total_timesteps"], *cells])
-
-    def _scalars(self, env_steps: int, metrics: dict[str, float]) -> None:
-        """To TensorBoard; x axis: environment steps. Imported late: it takes half a second."""
-        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
-        from tensorboard.compat.proto.summary_pb2 import Summary
-        from tensorboard.summary.writer.event_file_writer import EventFileWriter
-
-        if self._board is None:
-            self._board = EventFileWriter(str(self._folder))
-            start = SessionLog(status=SessionLog.START)  # TensorBoard drops what was beyond it
-            self._board.add_event(Event(wall_time=time.time(), step=env_steps, session_log=start))
-        values = [Summary.Value(tag=name, simple_value=value) for name, value in metrics.items()]
-        self._board.add_event(
-            Event(wall_time=time.time(), step=env_steps, summary=Summary(value=values))
+        self._ledger.write(
+            _line({"iteration": line.iteration, "update": line.update, "dropped": line.dropped})
         )
 
+    def close(self) -> None:
+        """Wait until everything is written that the disk takes."""
+        self._disk.settle()
 
-def _cut(file: Path, iteration: int) -> None:
-    """Keep the lines of iterations up to `iteration`; drop a torn last line."""
-    if not file.exists():
-        return
-    kept = []
-    for line in file.read_text().splitlines():
-        try:
-            row = json.loads(line)
-        except ValueError:
+    def _scalars(self, env_steps: int, metrics: dict[str, float]) -> None:
+        """To TensorBoard; x axis: environment steps. Imported late: it takes half a second.
+
+        Not through TensorBoard's own event writer: it blocks when its queue is full, and its
+        thread ends at the first error of the disk.
+        """
+        from tensorboard.compat.proto.event_pb2 import Event, SessionLog
+        from tensorboard.compat.proto.summary_pb2 import Summary
+        from tensorboard.summary.writer.record_writer import RecordWriter
+
+        now = time.time()
+        if self._board is None:
+            name = f"events.out.tfevents.{int(now):010d}.{socket.gethostname()}.{os.getpid()}.0"
+            self._board = RecordWriter(self._disk.file(name, 0))
+            start = SessionLog(status=SessionLog.START)  # TensorBoard drops what was beyond it
+            for event in (
+                Event(wall_time=now, file_version="brain.Event:2"),
+                Event(wall_time=now, step=env_steps, session_log=start),
+            ):
+                self._board.write(event.SerializeToString())
+        values = [Summary.Value(tag=name, simple_value=value) for name, value in metrics.items()]
+        event = Event(wall_time=now, step=env_steps, summary=Summary(value=values))
+        self._board.write(event.SerializeToString())
+
+
+def _taken_up(
+    folder: Path, name: str, iteration: int, disk: Disk
+) -> tuple[GrowingFile, list[dict[str, Any]]]:
+    """A file of JSON lines without those of iterations beyond `iteration`, and the rows it has.
+
+    Lines are in the order of their iterations. What is torn ends the file.
+    """
+    size, rows, ends = 0, [], True
+    path = folder / name
+    for line in path.read_bytes().splitlines(keepends=True) if path.exists() else ():
+        row = _parsed(line)
+        if not ends or row is None or row["iteration"] > iteration:
             break
-        if row["iteration"] <= iteration:
-            kept.append(line)
-    draft = file.with_name(f".{file.name}.draft")
-    draft.write_text("".join(line + "\n" for line in kept))
-    draft.rename(file)
+        size += len(line)
+        rows.append(row)
+        ends = line.endswith(b"\n")
+    file = disk.file(name, size)
+    if not ends:
+        file.write(b"\n")
+    return file, rows
+
+
+def _parsed(line: bytes) -> dict[str, Any] | None:
+    try:
+        row = json.loads(line)
+    except ValueError:
+        return None
+    whole = isinstance(row, dict) and isinstance(row.get("iteration"), int)
+    return row if whole else None
+
+
+def _line(row: dict[str, Any]) -> bytes:
+    return (json.dumps(row) + "\n").encode()
+
+
+def _row(row: dict[str, Any]) -> bytes:
+    return _cells([row.get(name, "") for name in _HEADER])
+
+
+def _cells(cells: list[Any]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text).writerow(cells)
+    return text.getvalue().encode()

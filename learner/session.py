@@ -4,32 +4,25 @@ import json
 import logging
 import time
 from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
 
 from dppo.config import Config
-from dppo.errors import RunFailedError, UsageError
+from dppo.errors import UsageError
 from dppo.leases import Leases
 from dppo.networks import Networks
 from dppo.statistics import cvar
-from dppo.store.checkpoint import (
-    mark_best,
-    name_of,
-    newest_checkpoint,
-    prune,
-    save_checkpoint,
-    sha256,
-)
+from dppo.store.checkpoint import newest_checkpoint, sha256
 from dppo.store.contents import SNAPSHOT_FORM, check_snapshots
 from dppo.store.run_directory import RunDirectory
 from dppo.wire.links import LearnerLink
 from dppo.wire.messages import Welcome
 from learner.chief import Chief
 from learner.console import Console
+from learner.disk import Disk
 from learner.exchange import Exchange
 from learner.runlog import RunLog
+from learner.saving import Saving
 from learner.soundness import Expected
 from learner.state import State
 
@@ -51,7 +44,7 @@ class Session:
         patience: float,
     ) -> None:
         self._config, self._folder = config, folder
-        self._every, self._keep = checkpoint_every, keep
+        self._every = checkpoint_every
         self.generation = folder.next_generation()
         welcome = Welcome(
             run=folder.path.name, generation=self.generation, config=json.dumps(config.to_dict())
@@ -59,9 +52,8 @@ class Session:
         self._exchange = Exchange(
             link, welcome, Leases(config.rollout.slots), look_after, patience
         )
-        self._disk = ThreadPoolExecutor(1)  # checkpoints are written beside the training
-        self._saving: Future[None] | None = None
-        self._saved = -1
+        self._disk = Disk(folder.path, "the run's logs")
+        self._saving = Saving(self._disk, folder.checkpoints, keep, self._checkpoint_facts)
         self.state: State | None = None
 
     def train(self, stop_at: int) -> dict[str, object]:
@@ -79,9 +71,11 @@ class Session:
             self._check_environment()
             check_snapshots(checkpoint)
             self.state = State.from_checkpoint(checkpoint)
-            self._saved = self.state.iteration
-            log.warning("resuming at iteration %d of %d", self._saved, self._config.iterations)
-        runlog = RunLog(self._folder.path, self.state.iteration)
+            self._saving.resumed(self.state)
+            log.warning(
+                "resuming at iteration %d of %d", self.state.iteration, self._config.iterations
+            )
+        runlog = RunLog(self._folder.path, self.state.iteration, self._disk)
         console = Console(self._config, self.state.iteration * self._config.rollout.samples)
         try:
             self._iterate(networks, runlog, console, stop_at)
@@ -93,11 +87,13 @@ class Session:
         return self._result("finished" if finished else "stopped")
 
     def save(self) -> None:
-        """Make sure that the newest whole iteration is on the disk."""
-        self._await_saving()
-        if self.state is not None and self._saved != self.state.iteration:
-            self._save(self._judged())
-            self._await_saving()
+        """Make sure that the newest whole iteration is on the disk.
+
+        Raises:
+            RunFailedError: it cannot be written.
+        """
+        if self.state is not None:
+            self._saving.finish(self.state)
 
     def interrupted(self) -> dict[str, object] | None:
         """After a signal: pause the workers; the contents of result.json, if anything was done."""
@@ -116,12 +112,11 @@ class Session:
             seconds = time.monotonic() - begun
             speed = self._config.rollout.samples / seconds
             self.state = chief.state
-            runlog.write(report, speed, 1000 * seconds / rounds)
+            unsaved = self._saving.unsaved(self.state.iteration)
+            runlog.write(report, speed, 1000 * seconds / rounds, unsaved)
             console.show(report, speed)
-            due = self.state.iteration % self._every == 0
-            if due or self.state.iteration == self._config.iterations:
-                self._save(self._judged())
-            chief.state = self.state
+            if self.state.iteration % self._every == 0:
+                self._saving.begin(self.state)
         self.save()
 
     @property
@@ -129,49 +124,14 @@ class Session:
         """Environment steps of the run so far."""
         return 0 if self.state is None else self.state.iteration * self._config.rollout.samples
 
-    def _judged(self) -> State:
-        """The state, with the highest mean return so far."""
-        assert self.state is not None
-        state = self.state
-        self.state = replace(state, best_mean=max(state.mean_return, state.best_mean))
-        return self.state
-
-    def _save(self, state: State) -> None:
-        """Save in the background; at most one at a time."""
-        self._await_saving()
-        self._saving = self._disk.submit(self._write, state)
-
-    def _await_saving(self) -> None:
-        """Wait for the checkpoint that is being written, if any.
-
-        Raises:
-            RunFailedError: it could not be written.
-        """
-        if self._saving is None:
-            return
-        saving, self._saving = self._saving, None
-        try:
-            saving.result()
-        except OSError as error:
-            raise RunFailedError(
-                f"the checkpoint in {self._folder.checkpoints} could not be written: {error}; "
-                "make room there and start the same command again"
-            ) from error
-
-    def _write(self, state: State) -> None:
-        folder, name = self._folder.checkpoints, name_of(state.iteration)
-        facts = {
+    def _checkpoint_facts(self, state: State) -> dict[str, Any]:
+        return {
             "config": self._config.to_dict(),
             "env_steps": state.iteration * self._config.rollout.samples,
             "parameters_sha256": sha256(state.parameters),
             "spaces": self._spaces(),
             "snapshots": SNAPSHOT_FORM,
         }
-        save_checkpoint(folder, name, state.to_checkpoint(facts))
-        if len(state.episodes) and state.mean_return >= state.best_mean:
-            mark_best(folder, name, state.mean_return)
-        prune(folder, self._keep)
-        self._saved = state.iteration
 
     def _spaces(self) -> dict[str, Any]:
         ready = self._exchange.roster.first

@@ -6,10 +6,14 @@ The iteration under way is given up; the checkpoint is the last whole one (docs/
 import logging
 import os
 import signal
+from concurrent.futures import wait
 from pathlib import Path
 from types import FrameType
 
 from dppo.process import Terminated
+from learner.disk import Disk
+
+_LAST_LINES_SECONDS = 5.0
 
 
 class StopSignals:
@@ -36,13 +40,34 @@ class StopSignals:
         self._asked = True
 
 
-def log_to_file(path: Path) -> None:
+class FileHandler(logging.Handler):
+    """Log lines to a file, in a thread of its own: no line waits for the disk, none is torn."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(logging.INFO)
+        self._disk = Disk(path.parent, "")  # when it fails, the other files' warning says so
+        size = path.stat().st_size if path.exists() else 0
+        self._file = self._disk.file(path.name, size)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Take one line."""
+        try:
+            self._file.write((self.format(record) + "\n").encode(errors="replace"))
+        except Exception:
+            self.handleError(record)  # as every handler: a bad line ends no run
+
+    def settle(self) -> None:
+        """Wait, not for long, until the lines are written."""
+        wait([self._disk.run(self._disk.write_out)], _LAST_LINES_SECONDS)
+
+
+def log_to_file(path: Path) -> FileHandler:
     """Log lines go to the run directory, too."""
-    handler = logging.FileHandler(path)
+    handler = FileHandler(path)
     handler.setFormatter(logging.Formatter("%(asctime)s %(name)s: %(message)s"))
-    handler.setLevel(logging.INFO)
     root = logging.getLogger()
     for console in root.handlers:
         console.setLevel(root.level)
     root.addHandler(handler)
     root.setLevel(logging.INFO)
+    return handler

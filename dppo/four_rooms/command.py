@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from dppo.errors import UsageError
+from dppo.files import replace_durably
 from dppo.four_rooms.agent import Outcome, Progress
 from dppo.four_rooms.console import Console
 from dppo.four_rooms.experiment import (
@@ -159,6 +160,6 @@ def _write(
     results["status"] = "stopped" if stopped else "finished"
     results["jobs"] = args.jobs or usable_cores()
     results["seconds"] = seconds | {"measuring and drawing": time.monotonic() - begun}
-    (folder / "results.json").write_text(json.dumps(results) + "\n")
-    (folder / "report.md").write_text(report(results, names))
+    replace_durably(folder / "results.json", (json.dumps(results) + "\n").encode())
+    replace_durably(folder / "report.md", report(results, names).encode())
     return results

@@ -1,10 +1,12 @@
 """All figures of a run, drawn and saved."""
 
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from dppo.files import replace_durably
 from dppo.four_rooms import figures, maps
 from dppo.four_rooms.mdp import Floats
 from dppo.four_rooms.results import MAIN, Findings, Results, typical
@@ -20,7 +22,9 @@ def save_pictures(folder: Path, findings: Findings, results: Results) -> list[st
     names = []
     with look():
         for name, drawing in _all(findings, results):
-            drawing.savefig(folder / name, dpi=DPI)
+            picture = BytesIO()
+            drawing.savefig(picture, format="png", dpi=DPI)
+            replace_durably(folder / name, picture.getvalue())
             names.append(name)
     return names
 

@@ -6,8 +6,9 @@
             manifest.json        facts, and SHA-256 of the arrays and of itself
         best.json                name of the checkpoint with the highest mean return
 
-A checkpoint is written into a hidden folder, flushed to the disk, and renamed: a folder with a
-checkpoint's name is whole, unless the disk lies, and then its checksum says so.
+A checkpoint is written into a hidden folder, flushed to the disk, and renamed. Before it is
+deleted it gets a hidden name again. So a folder with a checkpoint's name is whole, unless the disk
+lies, and then its checksum says so.
 """
 
 import contextlib
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 from safetensors.numpy import load, save
 
 from dppo.errors import CheckpointError
+from dppo.files import flush_folder, replace_durably, write_durably
 
 FORMAT = 1
 Arrays = dict[str, NDArray[Any]]
@@ -59,11 +61,17 @@ def name_of(iteration: int) -> str:
 def save_checkpoint(folder: Path, name: str, checkpoint: Checkpoint) -> Path:
     """Write a checkpoint as `folder`/`name`, all or nothing.
 
+    One of that name that verifies stays as it is: it is of the same iteration of the same run.
+
     Raises:
-        OSError: the disk is full, read-only or gone; nothing of that name is left behind.
+        OSError: the disk is full, read-only or gone; the folder's whole checkpoints are untouched.
     """
     folder.mkdir(parents=True, exist_ok=True)
     draft, final = folder / f".{name}.{os.getpid()}", folder / name
+    _sweep(folder)
+    if _verifies(final):
+        flush_folder(folder)
+        return final
     raw = save({name: np.ascontiguousarray(array) for name, array in checkpoint.arrays.items()})
     manifest = {
         "format": FORMAT,
@@ -72,16 +80,32 @@ def save_checkpoint(folder: Path, name: str, checkpoint: Checkpoint) -> Path:
     }
     manifest["sha256"] = _seal(manifest)
     try:
-        shutil.rmtree(draft, ignore_errors=True)
-        draft.mkdir()
+        draft.mkdir(exist_ok=True)
         write_durably(draft / "arrays.safetensors", raw)
         write_durably(draft / "manifest.json", json.dumps(manifest, indent=1).encode())
-        shutil.rmtree(final, ignore_errors=True)  # a corrupt one of the same name
+        flush_folder(draft)
+        if final.exists():
+            _set_aside(final)
         draft.rename(final)
         flush_folder(folder)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
     return final
+
+
+def _verifies(path: Path) -> bool:
+    try:
+        load_checkpoint(path)
+    except CheckpointError:
+        return False
+    return True
+
+
+def _set_aside(path: Path) -> None:
+    """Rename a corrupt checkpoint: it must not count as one; an earlier one of that name goes."""
+    aside = path.with_name(f"corrupt-{path.name}")
+    shutil.rmtree(aside, ignore_errors=True)
+    path.rename(aside)
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
@@ -122,11 +146,11 @@ def newest_checkpoint(folder: Path) -> Checkpoint | None:
     found = names(folder)
     for name in reversed(found):
         try:
-            return load_checkpoint(folder / name)
+            return _load_patiently(folder / name)
         except CheckpointError as error:
             log.warning("%s; falling back to the checkpoint before it", error)
-            with contextlib.suppress(OSError):  # out of the way: it must not count as the newest
-                (folder / name).rename(folder / f"corrupt-{name}")
+            with contextlib.suppress(OSError):  # on a read-only disk it is passed over each time
+                _set_aside(folder / name)
     if found:
         raise CheckpointError(
             f"every checkpoint in {folder} is corrupt ({', '.join(found)}); restore one from a "
@@ -135,11 +159,20 @@ def newest_checkpoint(folder: Path) -> Checkpoint | None:
     return None
 
 
+def _load_patiently(path: Path) -> Checkpoint:
+    """Read once more what could not be read: a disk's error may pass."""
+    try:
+        return load_checkpoint(path)
+    except CheckpointError as error:
+        if not isinstance(error.__cause__, OSError):
+            raise
+    return load_checkpoint(path)
+
+
 def mark_best(folder: Path, name: str, score: float) -> None:
     """Note which checkpoint has the highest mean return so far."""
-    draft = folder / ".best.json"
-    write_durably(draft, json.dumps({"name": name, "episode_return_mean": score}).encode())
-    draft.rename(folder / "best.json")
+    note = {"name": name, "episode_return_mean": score}
+    replace_durably(folder / "best.json", json.dumps(note).encode())
 
 
 def best_name(folder: Path) -> str | None:
@@ -152,27 +185,16 @@ def best_name(folder: Path) -> str | None:
 
 
 def prune(folder: Path, keep: int) -> None:
-    """Delete all but the newest `keep` checkpoints and the best, and what was never finished."""
-    for draft in folder.glob(".iteration-*"):  # of a learner that was killed while saving
-        shutil.rmtree(draft, ignore_errors=True)
+    """Delete all but the newest `keep` checkpoints and the best."""
     best = best_name(folder)
     for name in names(folder)[: -max(keep, 1)]:
         if name != best:
-            shutil.rmtree(folder / name, ignore_errors=True)
+            with contextlib.suppress(OSError):  # what stays is deleted the next time
+                (folder / name).rename(folder / f".{name}.old")
+    _sweep(folder)
 
 
-def write_durably(path: Path, data: bytes) -> None:
-    """Write a file and flush it to the disk."""
-    with path.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def flush_folder(folder: Path) -> None:
-    """Flush a folder's entries to the disk."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+def _sweep(folder: Path) -> None:
+    """Make room: delete what a learner that was killed had begun to write or to delete."""
+    for hidden in folder.glob(".iteration-*"):
+        shutil.rmtree(hidden, ignore_errors=True)

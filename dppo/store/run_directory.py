@@ -18,7 +18,8 @@ from typing import Any
 
 from dppo.config import Config
 from dppo.errors import UsageError
-from dppo.store.checkpoint import flush_folder, names, write_durably
+from dppo.files import replace_durably
+from dppo.store.checkpoint import names
 
 
 def default_path(config: Config, name: str) -> Path:
@@ -78,14 +79,29 @@ class RunDirectory:
             shutil.rmtree(self.path, ignore_errors=True)
 
     def next_generation(self) -> int:
-        """Count one more start; survives a crash right after."""
+        """Count one more start; survives a crash right after.
+
+        Raises:
+            UsageError: the count can be neither read nor written, so a run cannot begin here.
+        """
         file = self.path / "generation"
         try:
             generation = int(file.read_text()) + 1
-        except (OSError, ValueError):
+        except (FileNotFoundError, ValueError):
             generation = 1
-        self.write("generation", str(generation))
+        except OSError as error:
+            raise self._unusable("read", error) from error
+        try:
+            self.write("generation", str(generation))
+        except OSError as error:
+            raise self._unusable("written", error) from error
         return generation
+
+    def _unusable(self, what: str, error: OSError) -> UsageError:
+        return UsageError(
+            f"{self.path / 'generation'} cannot be {what}: {error.strerror}; make room, or see to "
+            "the disk, and start the same command again"
+        )
 
     def check_config(self, config: Config) -> None:
         """Refuse to continue a run with other settings.
@@ -117,10 +133,7 @@ class RunDirectory:
 
     def write(self, name: str, text: str) -> None:
         """Replace a small file, all or nothing."""
-        draft = self.path / f".{name}.draft"
-        write_durably(draft, text.encode())
-        draft.rename(self.path / name)
-        flush_folder(self.path)
+        replace_durably(self.path / name, text.encode())
 
     def write_json(self, name: str, values: dict[str, Any]) -> None:
         """Replace a JSON file, all or nothing."""

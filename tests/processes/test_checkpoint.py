@@ -1,11 +1,7 @@
 """A checkpoint is whole or it is none; whatever stops the writing, there is one to go on from."""
 
-import contextlib
 import json
 import logging
-import os
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -170,105 +166,6 @@ def test_a_torn_checkpoint_of_the_same_name_is_replaced(tmp_path):
     spoil(tmp_path, 4)
     save(tmp_path, 4)
     assert newest_iteration(tmp_path) == 4
-
-
-class PowerCut(BaseException):
-    """The machine stops."""
-
-
-class Disk:
-    """Fails at the `at`-th call that changes the disk: once with an OSError, or for ever.
-
-    A power cut also takes what was written but not flushed.
-    """
-
-    def __init__(self, monkeypatch, at, cut):
-        self.calls, self._at, self._cut = 0, at, cut
-        self.unflushed: dict[int, int] = {}
-        for owner, name in (
-            (os, "fsync"), (Path, "rename"), (Path, "mkdir"), (shutil, "rmtree"), (Path, "open"),
-        ):  # fmt: skip
-            monkeypatch.setattr(owner, name, self._watched(getattr(owner, name)))
-
-    def _watched(self, real):
-        def call(*args, **kwargs):
-            self.calls += 1
-            if self._cut and self.calls >= self._at:
-                self._lose()
-                raise PowerCut
-            if self.calls == self._at and not kwargs.get("ignore_errors"):
-                raise OSError(28, "No space left on device")
-            result = real(*args, **kwargs)
-            if real.__name__ == "open" and "w" in str(args[1:]):
-                self.unflushed[os.fstat(result.fileno()).st_ino] = os.dup(result.fileno())
-            if real.__name__ == "fsync":
-                self.unflushed.pop(os.fstat(args[0]).st_ino, None)
-            return result
-
-        return call
-
-    def _lose(self):
-        while self.unflushed:
-            os.ftruncate(self.unflushed.popitem()[1], 0)
-
-
-def interrupted(monkeypatch, work, cut):
-    """Do `work()` again and again, failing at the first call, the second, ... until none fails."""
-    for at in range(1, 100):
-        with monkeypatch.context() as patch:
-            disk = Disk(patch, at, cut)
-            with contextlib.suppress(OSError, PowerCut):
-                work()
-        yield at
-        if disk.calls < at:
-            return
-    pytest.fail("the work never ends")
-
-
-@pytest.mark.parametrize("cut", [True, False], ids=["power cut", "disk full"])
-def test_wherever_the_writing_stops_the_old_or_the_new_one_is_there(tmp_path, monkeypatch, cut):
-    save(tmp_path, 1)
-    found = set()
-    for _ in interrupted(monkeypatch, lambda: save(tmp_path, 2), cut):
-        found.add(newest_iteration(tmp_path))
-        shutil.rmtree(tmp_path / name_of(2), ignore_errors=True)
-    assert found == {1, 2}
-
-
-def test_what_is_said_to_be_saved_is_flushed(tmp_path, monkeypatch):
-    disk = Disk(monkeypatch, at=0, cut=False)
-    mark_best(tmp_path, save(tmp_path, 1).name, 10.0)
-    assert disk.calls > 5
-    assert disk.unflushed == {}
-
-
-def test_a_full_disk_leaves_no_draft_behind(tmp_path, monkeypatch):
-    for _ in interrupted(monkeypatch, lambda: save(tmp_path, 2), cut=False):
-        assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
-
-
-def test_replacing_a_torn_one_never_costs_the_one_before(tmp_path, monkeypatch):
-    for iteration in (1, 2):
-        save(tmp_path, iteration)
-    found = set()
-    for _ in interrupted(monkeypatch, lambda: save(tmp_path, 2), cut=True):
-        found.add(newest_iteration(tmp_path))
-        save(tmp_path, 2)
-        spoil(tmp_path, 2)
-    assert found == {1, 2}
-
-
-@pytest.mark.parametrize("cut", [True, False], ids=["power cut", "disk full"])
-def test_the_note_of_the_best_is_the_old_or_the_new_one(tmp_path, monkeypatch, cut):
-    for iteration in (1, 2):
-        save(tmp_path, iteration)
-    mark_best(tmp_path, name_of(1), 10.0)
-    noted = []
-    for _ in interrupted(monkeypatch, lambda: mark_best(tmp_path, name_of(2), 20.0), cut):
-        noted.append(best_name(tmp_path))
-    assert noted[0] == name_of(1)
-    assert noted[-1] == name_of(2)
-    assert noted == sorted(noted, key=str)
 
 
 def test_pruning_keeps_the_newest_and_the_best(tmp_path):
