@@ -29,6 +29,7 @@ from dppo.wire.messages import (
     Update,
     Welcome,
 )
+from learner.fencing import check_served
 from learner.questions import Questions
 from learner.roster import Roster, spaces_in
 from learner.soundness import block_of, is_finite, shape_objection
@@ -128,6 +129,7 @@ class Exchange:
         if not re.fullmatch(r"[A-Za-z0-9-]{1,64}", hello.worker):
             log.warning("ignored a worker called %r: letters, digits and '-' only", hello.worker)
             return
+        check_served(hello, self._welcome)
         if hello.worker in self._leases.workers:
             self._lose(hello.worker, "it joins anew")
         self.roster.greet(hello)

@@ -53,8 +53,12 @@ class Session:
         self.generation = folder.next_generation()
         self._parameter_count = 0
         welcome = Welcome(
-            run=folder.path.name, generation=self.generation, config=json.dumps(config.to_dict())
+            run=folder.run_id(),
+            generation=self.generation,
+            config=json.dumps(config.to_dict()),
+            name=folder.path.name,
         )
+        self._run_id = welcome.run
         self._exchange = Exchange(
             link, welcome, Leases(config.rollout.slots), look_after, lambda: self._parameter_count
         )
@@ -156,6 +160,7 @@ class Session:
             ) from error
 
     def _write(self, state: State) -> None:
+        self._folder.check_generation(self.generation)
         folder, name = self._folder.checkpoints, name_of(state.iteration)
         facts = {
             "config": self._config.to_dict(),
@@ -163,6 +168,8 @@ class Session:
             "parameters_sha256": sha256(state.parameters),
             "spaces": self._spaces(),
             "snapshots": SNAPSHOT_FORM,
+            "run": self._run_id,
+            "generation": self.generation,
         }
         save_checkpoint(folder, name, state.to_checkpoint(facts))
         if len(state.episodes) and state.mean_return >= state.best_mean:
