@@ -33,7 +33,7 @@ def undisturbed(tmp_path_factory):
 
 def learner_of(supervisor, other_than=0):
     """The process id of the learner that the supervisor has started."""
-    found = []
+    found: list[int] = []
 
     def there():
         found[:] = [pid for pid in descendants(supervisor.popen.pid) if pid != other_than]
@@ -53,10 +53,10 @@ def test_a_learner_killed_twice_finishes_by_itself_with_the_same_bits(harness, u
     run_dir = harness.folder / "run"
     supervisor = harness.learner(*RUN, "--restarts", "3", run_dir=run_dir)
     victim = 0
-    for wanted in (10, 30):
+    for wanted in (5, 15):
         victim = learner_of(supervisor, other_than=victim)
         wait_until(lambda: iterations(run_dir) >= wanted, f"{wanted} iterations")  # noqa: B023
-        if wanted == 10:
+        if wanted == 5:
             assert resident_mib(supervisor.popen.pid) < 30
         os.kill(victim, signal.SIGKILL)
     assert supervisor.wait() == 0, supervisor.text
