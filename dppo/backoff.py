@@ -1,4 +1,7 @@
-"""Growing waits with jitter: those who wait for the same thing do not ask in step."""
+"""Growing waits with jitter: those who wait for the same thing do not ask in step.
+
+The jitter is part of no result, so it comes from no stream.
+"""
 
 import random
 from dataclasses import dataclass

@@ -131,8 +131,11 @@ class RunDirectory:
             return reason
         file = self.path / "superseded"
         sentence = f"{reason}; or, to go on from this one all the same, delete {file}"
-        self.write(file.name, sentence + "\n")
-        self.write("generation", str(reason.newest))  # whoever deletes it gets the next one
+        try:
+            self.write(file.name, sentence + "\n")
+            self.write("generation", str(reason.newest))  # whoever deletes it gets the next one
+        except OSError:
+            return reason  # no room for a note: what matters more is why this learner stops
         return SupersededError(sentence, reason.newest)
 
     def check_fence(self) -> None:

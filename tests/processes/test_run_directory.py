@@ -172,6 +172,16 @@ def test_an_old_copy_stays_fenced_off_until_somebody_deletes_the_note(tmp_path):
     assert folder.next_generation() == 8  # above what the workers have served
 
 
+def test_a_disk_without_room_for_the_note_does_not_hide_the_reason(tmp_path, monkeypatch):
+    def full(_handle):
+        raise OSError(28, "No space left on device")
+
+    folder = RunDirectory.open(tmp_path)
+    reason = SupersededError("worker w1 has served generation 7", newest=7)
+    monkeypatch.setattr(os, "fsync", full)
+    assert folder.fence_off(reason) is reason
+
+
 def test_a_folder_in_which_the_newer_learner_works_is_not_fenced_off(tmp_path):
     folder = RunDirectory.open(tmp_path)
     folder.write("generation", "7")
