@@ -1,11 +1,12 @@
 """`dppo-learner`: command line -> run directory, link, local workers -> session -> exit code."""
 
 import contextlib
+import os
 import socket
 import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NoReturn
 
 from dppo.config import Config
 from dppo.settings import require
@@ -56,12 +57,16 @@ class ProcessArgs:
     """Pause after so many environment steps of the run, with a checkpoint [env steps]."""
     patience: float = 3.0
     """Least silence, or time without progress, that a worker is given up for; inf: never [s]."""
+    restarts: int = 0
+    """Start the learner again when it dies or fails, at most so many times in all [count]."""
     verbose: bool = False
     """Log who joins, leaves and waits."""
 
     def __post_init__(self) -> None:
         """Refuse what makes no sense."""
-        leasts = {"local_workers": -1, "checkpoint_every": 1, "keep_checkpoints": 1}
+        leasts = {
+            "local_workers": -1, "checkpoint_every": 1, "keep_checkpoints": 1, "restarts": 0,
+        }  # fmt: skip
         for name, least in leasts.items():
             require(getattr(self, name) >= least, name, getattr(self, name), f">= {least}")
         require(self.patience >= 1, "patience", self.patience, ">= 1")
@@ -83,20 +88,41 @@ def main(argv: list[str] | None = None) -> None:
     from learner.arguments import defaults, normalised
 
     one_thread()
-    arguments = normalised(sys.argv[1:] if argv is None else argv, _ALIASES, _WHOLE_NUMBERS)
+    words = sys.argv[1:] if argv is None else argv
+    supervisor = None
+    if words[:1] == ["--supervised"] and words[1:2] != [] and words[1].isdecimal():
+        supervisor, words = int(words[1]), words[2:]  # a child of the supervisor's: not for people
+    arguments = normalised(words, _ALIASES, _WHOLE_NUMBERS)
 
     def work() -> int:
         config = defaults(arguments)
         groups = {name: getattr(config, name) for name in Config.__dataclass_fields__}
         args = parse(LearnerArgs, arguments, "dppo-learner", LearnerArgs(**groups))
-        start_logging(args.process.verbose)
         plain = Config(**{name: getattr(args, name) for name in Config.__dataclass_fields__})
-        return _train(plain, args.process)
+        if args.process.restarts and supervisor is None:
+            _become_supervisor(plain, args.process, arguments)
+        start_logging(args.process.verbose)
+        return _train(plain, args.process, supervisor)
 
     leave(work)
 
 
-def _train(config: Config, args: ProcessArgs) -> int:
+def _become_supervisor(config: Config, args: ProcessArgs, arguments: list[str]) -> NoReturn:
+    """Go on as the supervisor: a new program, because this one has loaded too much for a guard.
+
+    Folder and address are settled here, so that every start has the same ones.
+    """
+    from dppo.store.run_directory import default_path
+    from learner.arguments import listening_address
+
+    path = args.run_dir or str(default_path(config, args.name))
+    address = listening_address(args.listen, args.insecure)
+    settled = ["--run-dir", path, "--listen", address]
+    program = [sys.executable, "-m", "learner.supervisor", str(args.restarts)]
+    os.execv(sys.executable, [*program, *arguments, *settled])
+
+
+def _train(config: Config, args: ProcessArgs, supervisor: int | None) -> int:
     from dppo.process import usable_cores
     from dppo.store.run_directory import RunDirectory, default_path
     from dppo.wire.socket_links import Alarm, SocketLearnerLink
@@ -113,8 +139,9 @@ def _train(config: Config, args: ProcessArgs) -> int:
     folder = RunDirectory.open(path)
     _check_resume(folder.has_run, path, args.resume)
     folder.check_config(config)
+    folder.check_fence()
     log_file = log_to_file(path / "log.txt")
-    signals = StopSignals()
+    signals = StopSignals(supervisor)
     count = args.local_workers
     if count < 0:
         count = min(usable_cores(), config.rollout.slots)
@@ -146,10 +173,12 @@ def _train(config: Config, args: ProcessArgs) -> int:
 
 def _run(session: "Session", signals: "StopSignals", folder: "RunDirectory", stop_at: int) -> int:
     """Train, and leave result.json and a checkpoint behind however it ends."""
-    from dppo.errors import RunFailedError
+    from dppo.errors import RunFailedError, SupersededError
 
     try:
         result = _trained(session, stop_at)
+    except SupersededError as error:
+        raise folder.fence_off(error) from error
     except RunFailedError as error:
         with contextlib.suppress(RunFailedError):  # the disk may be what failed
             session.save()

@@ -11,6 +11,7 @@ from dppo.pace import Pace
 from dppo.watch import Watch
 from dppo.wire.links import LearnerLink
 from dppo.wire.messages import Hello, Ready, Stop, Welcome
+from learner.fencing import check_served
 from learner.questions import Questions
 from learner.roster import Roster
 
@@ -92,10 +93,15 @@ class Members:
         self._watch.calm()
 
     def greet(self, hello: Hello) -> None:
-        """A worker asks to join."""
+        """A worker asks to join.
+
+        Raises:
+            SupersededError: it has served a later learner of this run.
+        """
         if not re.fullmatch(r"[A-Za-z0-9-]{1,64}", hello.worker):
             log.warning("ignored a worker called %r: letters, digits and '-' only", hello.worker)
             return
+        check_served(hello, self._welcome)
         if hello.worker in self._leases.workers:
             self.lose(hello.worker, "it joins anew")
         self.roster.greet(hello)

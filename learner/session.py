@@ -47,8 +47,12 @@ class Session:
         self._every = checkpoint_every
         self.generation = folder.next_generation()
         welcome = Welcome(
-            run=folder.path.name, generation=self.generation, config=json.dumps(config.to_dict())
+            run=folder.run_id(),
+            generation=self.generation,
+            config=json.dumps(config.to_dict()),
+            name=folder.path.name,
         )
+        self._run_id = welcome.run
         self._exchange = Exchange(
             link, welcome, Leases(config.rollout.slots), look_after, patience
         )
@@ -125,12 +129,20 @@ class Session:
         return 0 if self.state is None else self.state.iteration * self._config.rollout.samples
 
     def _checkpoint_facts(self, state: State) -> dict[str, Any]:
+        """What a checkpoint holds besides the state.
+
+        Raises:
+            SupersededError: another learner has taken over the folder.
+        """
+        self._folder.check_generation(self.generation)
         return {
             "config": self._config.to_dict(),
             "env_steps": state.iteration * self._config.rollout.samples,
             "parameters_sha256": sha256(state.parameters),
             "spaces": self._spaces(),
             "snapshots": SNAPSHOT_FORM,
+            "run": self._run_id,
+            "generation": self.generation,
         }
 
     def _spaces(self) -> dict[str, Any]:

@@ -16,7 +16,7 @@ class WorkerArgs:
     connect: str
     """Address of the learner, e.g. tcp/learner:7447."""
     name: str = ""
-    """Name in logs: letters, digits, '-'; empty: host and a random part."""
+    """Name in logs: letters, digits, '-'; empty: the host's. A random part is added to it."""
     wait_seconds: float = float("inf")
     """Give up when no learner answers for so long [s]."""
     verbose: bool = True
@@ -61,18 +61,12 @@ def _serve_parent(args: _ChildArgs) -> int:
 
 
 def _work(args: WorkerArgs) -> int:
-    import secrets
-    import socket
-
     from dppo.errors import UsageError
     from dppo.wire.zenoh_links import ZenohWorkerLink, open_connecting
     from workers.envs import quiet
     from workers.membership import LearnerAbsentError, Member, wait_for
 
-    host = "".join(c if c.isalnum() else "-" for c in socket.gethostname())[:20]
-    name = args.name or f"{host}-{secrets.token_hex(3)}"
-    if not all(c.isalnum() or c == "-" for c in name):
-        raise UsageError(f"--name is {name!r}, expected letters, digits and '-'")
+    name = _unique_name(args.name)
     quiet()
 
     def connect() -> ZenohWorkerLink | None:
@@ -87,6 +81,26 @@ def _work(args: WorkerArgs) -> int:
     print(f"worker {name}: {stop.reason}", file=sys.stderr)
     link.close()
     return 0
+
+
+def _unique_name(wanted: str) -> str:
+    """The wanted name, or the host's, with a random part: no two processes share it.
+
+    Raises:
+        UsageError: it cannot be part of a key.
+    """
+    import re
+    import secrets
+    import socket
+
+    from dppo.errors import UsageError
+
+    if re.fullmatch("[A-Za-z0-9-]{0,57}", wanted) is None:  # 64 with the random part
+        raise UsageError(
+            f"--name is {wanted!r}, expected at most 57 of the letters A to Z, digits and '-'"
+        )
+    host = re.sub("[^A-Za-z0-9]", "-", socket.gethostname())[:20]
+    return f"{wanted or host}-{secrets.token_hex(3)}"
 
 
 if __name__ == "__main__":

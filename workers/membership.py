@@ -6,12 +6,11 @@ connect -> Hello ... Welcome -> Ready -> tasks -> Stop(final) or the learner is 
 import json
 import logging
 import os
-import random
 import socket
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
+from dppo.backoff import Backoff
 from dppo.config import Config
 from dppo.errors import DppoError, UsageError
 from dppo.wire.links import LearnerLost, Refused, WorkerLink
@@ -42,19 +41,6 @@ class LearnerAbsentError(DppoError):
     """No learner answered within the time that the user gave."""
 
 
-@dataclass(slots=True)
-class Backoff:
-    """Growing waits with jitter, so that a thousand workers do not knock in step."""
-
-    wait: float = _FIRST_WAIT
-
-    def next(self) -> float:
-        """Seconds to wait before the next try."""
-        wait = self.wait * random.uniform(0.5, 1.0)
-        self.wait = min(2 * self.wait, _LONGEST_WAIT)
-        return wait
-
-
 def wait_for(
     connect: Callable[[], WorkerLink | None], address: str, patience: float
 ) -> WorkerLink:
@@ -63,7 +49,7 @@ def wait_for(
     Raises:
         LearnerAbsentError: nobody did for `patience` seconds.
     """
-    backoff, begun, remarked = Backoff(), time.monotonic(), 0.0
+    backoff, begun, remarked = Backoff(_FIRST_WAIT, _LONGEST_WAIT), time.monotonic(), 0.0
     while (link := connect()) is None:
         waited = time.monotonic() - begun
         if waited > patience:
@@ -84,6 +70,10 @@ class Member:
     def __init__(self, name: str, link: WorkerLink, patience: float) -> None:
         self._name, self._link, self._patience = name, link, patience
         self._worker: Worker | None = None
+        self._served: dict[str, int] = {}
+        """Of each run, the highest generation that this process has served."""
+        self._run = ""
+        """The run that asked last."""
 
     def live(self) -> Stop:
         """Join and work, again and again, until a learner says that the run is over."""
@@ -91,7 +81,8 @@ class Member:
             welcome = self._join()
             if isinstance(welcome, Stop):
                 return welcome
-            log.info("joined run %s (generation %d)", welcome.run, welcome.generation)
+            self._served[welcome.run] = welcome.generation
+            log.info("joined run %s (generation %d)", welcome.name, welcome.generation)
             stop = self._serve(welcome)
             if self._worker is not None:
                 self._worker.close()
@@ -102,26 +93,50 @@ class Member:
 
     def _join(self) -> Welcome | Stop:
         """Say Hello until a Welcome comes, or the word that the run is over."""
-        hello = Hello(
-            worker=self._name,
-            host=socket.gethostname(),
-            pid=os.getpid(),
-            numerics=fingerprint(),
-            versions=versions(),
-        )
-        backoff, begun = Backoff(), time.monotonic()
+        backoff, begun = Backoff(_FIRST_WAIT, _LONGEST_WAIT), time.monotonic()
+        remarked = begun
         while True:
-            self._link.send(hello)
+            self._link.send(self._hello())
             until = time.monotonic() + max(backoff.next(), _FIRST_WAIT)
             while (left := until - time.monotonic()) > 0:
                 message = self._link.receive(left)
+                if isinstance(message, Welcome) and self._is_of_the_past(message):
+                    continue  # the next Hello tells it
                 if isinstance(message, Welcome) or (isinstance(message, Stop) and message.final):
                     return message
+            if time.monotonic() - remarked > _REMARK_SECONDS:
+                remarked = time.monotonic()
+                log.info("waiting for a learner's Welcome, for %.0f s", remarked - begun)
             if time.monotonic() - begun > self._patience:
                 raise LearnerAbsentError(
                     f"the learner did not answer worker {self._name} for {self._patience:g} s; "
                     "look into its log"
                 )
+
+    def _hello(self) -> Hello:
+        return Hello(
+            worker=self._name,
+            host=socket.gethostname(),
+            pid=os.getpid(),
+            numerics=fingerprint(),
+            versions=versions(),
+            served_run=self._run,
+            served_generation=self._served.get(self._run, 0),
+        )
+
+    def _is_of_the_past(self, welcome: Welcome) -> bool:
+        """Has this process served a later learner of the run? Then this one has to stop."""
+        self._run = welcome.run
+        served = self._served.get(welcome.run, 0)
+        if welcome.generation >= served:
+            return False
+        log.warning(
+            "ignored the learner of run %s, generation %d: generation %d has gone on with it",
+            welcome.name,
+            welcome.generation,
+            served,
+        )
+        return True
 
     def _serve(self, welcome: Welcome) -> Stop | None:
         """Everything from Welcome to the end of this membership; None: the learner is lost."""

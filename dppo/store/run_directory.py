@@ -5,11 +5,15 @@ progress.csv      one row per iteration        metrics.jsonl   the same, one obj
 checkpoints/      see checkpoint.py            ledger.jsonl    dropped gradients
 log.txt           what the learner logged      result.json     how it ended
 generation        how often a learner was started here
+run-id            the run's random id, the same in every copy of the folder
+superseded        why no learner goes on here: the run has gone on elsewhere
 """
 
 import fcntl
 import json
 import os
+import re
+import secrets
 import shutil
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,9 +21,11 @@ from pathlib import Path
 from typing import Any
 
 from dppo.config import Config
-from dppo.errors import UsageError
+from dppo.errors import SupersededError, UsageError
 from dppo.files import replace_durably
 from dppo.store.checkpoint import names
+
+_RUN_ID = re.compile("[0-9a-f]{16}")
 
 
 def default_path(config: Config, name: str) -> Path:
@@ -79,29 +85,97 @@ class RunDirectory:
             shutil.rmtree(self.path, ignore_errors=True)
 
     def next_generation(self) -> int:
-        """Count one more start; survives a crash right after.
+        """Count one more start; survives a crash right after, and a damaged count.
 
         Raises:
-            UsageError: the count can be neither read nor written, so a run cannot begin here.
+            UsageError: the count cannot be written, so a run cannot begin here.
         """
-        file = self.path / "generation"
-        try:
-            generation = int(file.read_text()) + 1
-        except (FileNotFoundError, ValueError):
-            generation = 1
-        except OSError as error:
-            raise self._unusable("read", error) from error
+        saved = [generation for _, generation in self._saved_facts()]
+        generation = max([self._counted(), *saved]) + 1
         try:
             self.write("generation", str(generation))
         except OSError as error:
-            raise self._unusable("written", error) from error
+            raise UsageError(
+                f"{self.path / 'generation'} cannot be written: {error.strerror}; make room, or "
+                "see to the disk, and start the same command again"
+            ) from error
         return generation
 
-    def _unusable(self, what: str, error: OSError) -> UsageError:
-        return UsageError(
-            f"{self.path / 'generation'} cannot be {what}: {error.strerror}; make room, or see to "
-            "the disk, and start the same command again"
-        )
+    def check_generation(self, generation: int) -> None:
+        """Refuse to write for a learner after which another one was started here.
+
+        The lock should not let that happen; some network file systems know no locks.
+
+        Raises:
+            SupersededError: the count has gone on.
+        """
+        newest = self._counted()
+        if newest > generation:
+            raise SupersededError(
+                f"another learner, generation {newest}, was started in {self.path} after this "
+                f"one, generation {generation}; its file system keeps no locks: see that only "
+                "one learner runs there",
+                newest,
+            )
+
+    def run_id(self) -> str:
+        """The run's random id: made once, kept by every resume and every copy."""
+        file = self.path / "run-id"
+        try:
+            written = file.read_text()
+        except (OSError, ValueError):
+            written = ""
+        known = [written, *(run for run, _ in self._saved_facts())]
+        run = next((run for run in known if _RUN_ID.fullmatch(run)), None) or secrets.token_hex(8)
+        if run != written:
+            self.write(file.name, run)
+        return run
+
+    def fence_off(self, reason: SupersededError) -> SupersededError:
+        """Let no later start go on from this old copy by itself; what to tell the user.
+
+        A start that is repeated again and again would else count up until no worker objects. The
+        newer learner may also be at work in this very folder, as its count then shows: nothing is
+        written.
+        """
+        if self._counted() >= reason.newest:
+            return reason
+        file = self.path / "superseded"
+        sentence = f"{reason}; or, to go on from this one all the same, delete {file}"
+        try:
+            self.write(file.name, sentence + "\n")
+            self.write("generation", str(reason.newest))  # whoever deletes it gets the next one
+        except OSError:
+            return reason  # no room for a note: what matters more is why this learner stops
+        return SupersededError(sentence, reason.newest)
+
+    def check_fence(self) -> None:
+        """Refuse a folder whose run has gone on elsewhere.
+
+        Raises:
+            SupersededError: an earlier learner here has found that out; says how.
+        """
+        file = self.path / "superseded"
+        if file.exists():
+            raise SupersededError(f"an earlier start here found: {file.read_text().strip()}")
+
+    def _counted(self) -> int:
+        """The newest generation, as the folder's count has it; 0: none, or not readable."""
+        try:
+            return int((self.path / "generation").read_text())
+        except (OSError, ValueError):
+            return 0
+
+    def _saved_facts(self) -> list[tuple[str, int]]:
+        """Run and generation, as far as checkpoints have them, damaged ones included."""
+        found = []
+        for manifest in self.checkpoints.glob("*iteration-*/manifest.json"):
+            try:
+                facts = json.loads(manifest.read_bytes())["facts"]
+                found.append((str(facts["run"]), int(facts["generation"])))
+            except (OSError, ValueError, KeyError, TypeError):
+                continue  # torn, or of an earlier version
+        return found
 
     def check_config(self, config: Config) -> None:
         """Refuse to continue a run with other settings.

@@ -34,7 +34,8 @@ class Hello:
     """A worker asks to join.
 
     Example:
-        Hello(worker="w-3f2a", host="lab1", pid=7, numerics="9c1e", versions="mujoco 4.0.0")
+        Hello(worker="w-3f2a", host="lab1", pid=7, numerics="9c1e", versions="mujoco 4.0.0",
+              served_run="5b7d", served_generation=2)
     """
 
     worker: str
@@ -45,6 +46,10 @@ class Hello:
     """Hash of a fixed computation: equal where floating point gives equal bits."""
     versions: str
     """Versions of the libraries that decide the bits."""
+    served_run: str = ""
+    """Run that the worker has served last; empty: none."""
+    served_generation: int = 0
+    """Highest generation of that run that it has served: a lower one is of the past."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -168,13 +173,16 @@ class Welcome:
     """The learner knows the worker.
 
     Example:
-        Welcome(run="3f9c", generation=1, config='{"run": {...}, ...}')
+        Welcome(run="3f9c", generation=1, config='{"run": {...}, ...}', name="main")
     """
 
     run: str
+    """Random id of the run; a copy of its folder has the same."""
     generation: int
     config: str
     """`Config.to_dict` as JSON."""
+    name: str = ""
+    """Name of the run's folder, for people."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,25 +1,28 @@
 """A worker's life: it knocks until it is let in, outlives learners, goes when told to."""
 
 import json
+import logging
 import re
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
+from dppo.backoff import Backoff
 from dppo.config import Config, RunConfig
 from dppo.wire.memory_links import MemoryHub
 from dppo.wire.messages import Failure, Hello, Ready, Stop, Update, Welcome
-from workers.membership import Backoff, LearnerAbsentError, Member, wait_for
+from workers import membership
+from workers.membership import LearnerAbsentError, Member, wait_for
 
 PATIENCE = 20.0
 """Longest wait for a learner [s]; only a broken member takes it."""
 PAUSE, END = Stop(reason="the learner pauses", final=False), Stop(reason="finished", final=True)
 
 
-def welcome(generation=1, env="InvertedPendulum-v5"):
+def welcome(generation=1, env="InvertedPendulum-v5", run="3f9c"):
     config = json.dumps(Config(run=RunConfig(env=env)).to_dict())
-    return Welcome(run="3f9c", generation=generation, config=config)
+    return Welcome(run=run, generation=generation, config=config, name="main")
 
 
 def update(generation):
@@ -111,6 +114,46 @@ def test_a_task_of_an_older_learner_is_ignored():
     assert meeting.kinds() == [Hello, Ready]
 
 
+def test_hello_says_which_learner_was_served_last():
+    meeting = Meeting()
+    meeting.says(welcome(generation=3), PAUSE, welcome(generation=4, run="77aa"), PAUSE, END)
+    assert meeting.member.live() == END
+    hellos = [message for message in meeting.heard() if isinstance(message, Hello)]
+    served = [(hello.served_run, hello.served_generation) for hello in hellos]
+    assert served == [("", 0), ("3f9c", 3), ("77aa", 4)]
+
+
+def test_a_learner_of_the_past_is_ignored_and_told_so(caplog):
+    """Generation 3 of the run after generation 5: not joined, and the next Hello names 5."""
+    meeting = Meeting()
+    meeting.says(welcome(generation=5), PAUSE, welcome(run="77aa"), PAUSE, welcome(generation=3))
+    with ThreadPoolExecutor(1) as pool:
+        life = pool.submit(meeting.member.live)
+        heard = [meeting.learner.receive(PATIENCE) for _ in range(6)]
+        meeting.says(END)
+        assert life.result(PATIENCE) == END
+    assert [type(message) for message in heard] == [Hello, Ready, Hello, Ready, Hello, Hello]
+    assert [message.generation for message in heard if isinstance(message, Ready)] == [5, 1]
+    last = heard[-1]
+    assert isinstance(last, Hello)
+    assert (last.served_run, last.served_generation) == ("3f9c", 5)
+    assert "ignored the learner of run main, generation 3: generation 5 has gone on" in caplog.text
+
+
+def test_the_same_generation_is_joined_again_and_a_later_one_too():
+    meeting = Meeting()
+    meeting.says(welcome(generation=5), PAUSE, welcome(generation=5), PAUSE, welcome(6), END)
+    assert meeting.member.live() == END
+    assert meeting.kinds() == [Hello, Ready] * 3
+
+
+def test_another_run_may_have_a_lower_generation():
+    meeting = Meeting()
+    meeting.says(welcome(generation=5), PAUSE, welcome(generation=1, run="77aa"), END)
+    assert meeting.member.live() == END
+    assert meeting.kinds() == [Hello, Ready] * 2
+
+
 @pytest.mark.parametrize(
     ("settings", "reason"),
     [
@@ -138,6 +181,21 @@ def test_a_member_gives_up_after_its_patience():
     assert set(meeting.kinds()) == {Hello}
 
 
+def test_a_member_says_again_and_again_that_it_waits_for_a_welcome(caplog, monkeypatch):
+    monkeypatch.setattr(membership, "_REMARK_SECONDS", 0.05)
+    caplog.set_level(logging.INFO)
+    with pytest.raises(LearnerAbsentError):
+        Meeting(patience=0.25).member.live()
+    assert caplog.text.count("waiting for a learner's Welcome, for 0 s") >= 2
+
+
+def test_whoever_waits_for_a_learner_says_where(caplog):
+    caplog.set_level(logging.INFO)
+    with pytest.raises(LearnerAbsentError):
+        wait_for(lambda: None, "tcp/lab1:7447", patience=0.05)
+    assert "waiting for a learner at tcp/lab1:7447 (0 s so far)" in caplog.text
+
+
 def test_waiting_for_a_learner_gives_up_with_a_sentence():
     sentence = "no learner answered at tcp/lab1:7447 for 0.05 s; is it running"
     with pytest.raises(LearnerAbsentError, match=re.escape(sentence)):
@@ -151,8 +209,15 @@ def test_waiting_for_a_learner_ends_when_it_is_there():
 
 
 def test_waits_between_two_tries_grow_and_stay_within_bounds():
-    backoff = Backoff()
-    waits = [backoff.next() for _ in range(20)]
+    backoff = Backoff(first=0.1, longest=2.0)
     full = [0.1, 0.2, 0.4, 0.8, 1.6] + [2.0] * 15  # doubled up to 2 s
-    for wait, most in zip(waits, full, strict=True):
-        assert most / 2 <= wait <= most
+    for _ in range(2):
+        waits = [backoff.next() for _ in full]
+        for wait, most in zip(waits, full, strict=True):
+            assert most / 2 <= wait <= most
+        backoff.again()
+
+
+def test_two_that_wait_do_not_knock_in_step():
+    one, two = Backoff(0.1, 2.0), Backoff(0.1, 2.0)
+    assert [one.next() for _ in range(5)] != [two.next() for _ in range(5)]

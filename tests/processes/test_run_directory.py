@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -10,7 +11,7 @@ from dataclasses import replace
 import pytest
 
 from dppo.config import Config, RunConfig, SafetyConfig
-from dppo.errors import UsageError
+from dppo.errors import SupersededError, UsageError
 from dppo.presets import paper
 from dppo.store.checkpoint import Checkpoint, name_of, save_checkpoint
 from dppo.store.run_directory import RunDirectory, default_path, read_config
@@ -95,6 +96,98 @@ def test_an_unreadable_generation_starts_again_at_one(tmp_path, text):
     folder = RunDirectory.open(tmp_path)
     (tmp_path / "generation").write_text(text)
     assert [folder.next_generation() for _ in range(2)] == [1, 2]
+
+
+def test_a_damaged_generation_counts_on_from_the_checkpoints(tmp_path):
+    """Generations 2 and 5 saved something, the checkpoint of 5 was found corrupt since."""
+    folder = RunDirectory.open(tmp_path)
+    for name, generation in (("iteration-00000010", 2), ("corrupt-iteration-00000020", 5)):
+        facts = {"run": folder.run_id(), "generation": generation}
+        save_checkpoint(folder.checkpoints, name, Checkpoint({}, facts))
+    (tmp_path / "generation").write_text("")
+    assert [folder.next_generation() for _ in range(2)] == [6, 7]
+
+
+def test_an_older_checkpoint_brought_back_does_not_bring_back_its_generation(tmp_path):
+    folder = RunDirectory.open(tmp_path)
+    save_checkpoint(
+        folder.checkpoints, name_of(10), Checkpoint({}, {"run": "0" * 16, "generation": 1})
+    )
+    folder.write("generation", "4")
+    assert folder.next_generation() == 5
+
+
+@pytest.mark.parametrize("manifest", ["", "[]", "{}", '{"facts": {"run": "x"}}', '{"facts": 3}'])
+def test_a_checkpoint_that_does_not_say_its_generation_is_passed_over(tmp_path, manifest):
+    folder = RunDirectory.open(tmp_path)
+    (folder.checkpoints / name_of(3)).mkdir()
+    (folder.checkpoints / name_of(3) / "manifest.json").write_text(manifest)
+    assert folder.next_generation() == 1
+
+
+def test_the_run_id_is_made_once_and_kept_by_every_copy(tmp_path):
+    folder = RunDirectory.open(tmp_path / "a")
+    made = folder.run_id()
+    assert re.fullmatch("[0-9a-f]{16}", made)
+    assert folder.run_id() == made
+    shutil.copytree(tmp_path / "a", tmp_path / "b")
+    assert RunDirectory.open(tmp_path / "b").run_id() == made
+    assert RunDirectory.open(tmp_path / "c").run_id() != made
+
+
+@pytest.mark.parametrize("text", ["", "x", "0" * 17, "\udcff"])
+def test_a_damaged_run_id_is_taken_from_the_checkpoints(tmp_path, text):
+    folder = RunDirectory.open(tmp_path)
+    made = folder.run_id()
+    facts = {"run": made, "generation": 1}
+    save_checkpoint(folder.checkpoints, name_of(0), Checkpoint({}, facts))
+    (tmp_path / "run-id").write_bytes(text.encode(errors="surrogateescape"))
+    assert folder.run_id() == made
+    assert (tmp_path / "run-id").read_text() == made
+
+
+def test_a_learner_after_which_another_was_started_here_may_not_write(tmp_path):
+    folder = RunDirectory.open(tmp_path)
+    mine = folder.next_generation()
+    folder.check_generation(mine)
+    folder.next_generation()
+    with pytest.raises(SupersededError, match=r"generation 2, was started in .* after this one"):
+        folder.check_generation(mine)
+
+
+def test_an_old_copy_stays_fenced_off_until_somebody_deletes_the_note(tmp_path):
+    folder = RunDirectory.open(tmp_path)
+    folder.next_generation()
+    folder.check_fence()
+    told = folder.fence_off(SupersededError("worker w1 has served generation 7", newest=7))
+    note = tmp_path / "superseded"
+    assert str(told) == (
+        "worker w1 has served generation 7; or, to go on from this one all the same, delete "
+        f"{note}"
+    )
+    with pytest.raises(SupersededError, match="an earlier start here found: worker w1 has served"):
+        folder.check_fence()
+    note.unlink()
+    folder.check_fence()
+    assert folder.next_generation() == 8  # above what the workers have served
+
+
+def test_a_disk_without_room_for_the_note_does_not_hide_the_reason(tmp_path, monkeypatch):
+    def full(_handle):
+        raise OSError(28, "No space left on device")
+
+    folder = RunDirectory.open(tmp_path)
+    reason = SupersededError("worker w1 has served generation 7", newest=7)
+    monkeypatch.setattr(os, "fsync", full)
+    assert folder.fence_off(reason) is reason
+
+
+def test_a_folder_in_which_the_newer_learner_works_is_not_fenced_off(tmp_path):
+    folder = RunDirectory.open(tmp_path)
+    folder.write("generation", "7")
+    reason = SupersededError("worker w1 has served generation 7", newest=7)
+    assert folder.fence_off(reason) is reason
+    folder.check_fence()
 
 
 def test_a_small_file_is_replaced_all_or_nothing(tmp_path, monkeypatch):

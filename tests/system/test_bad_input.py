@@ -84,9 +84,10 @@ def test_a_taken_port_is_refused(harness):
         (["--connect", "tcp/127.0.0.1:port"], ["--connect is 'tcp/127.0.0.1:port'"]),
         (["--connect", "tcp/127.0.0.1:9", "--wait-seconds", "0.2"], ["no learner answered"]),
         (["--connect", "tcp/127.0.0.1:9", "--name", "a/b"], ["--name is 'a/b'"]),
+        (["--connect", "tcp/127.0.0.1:9", "--name", 58 * "a"], ["expected at most 57 of the"]),
         ([], ["--connect"]),
     ],
-    ids=["malformed", "port", "unreachable", "name", "missing"],
+    ids=["malformed", "port", "unreachable", "name", "long name", "missing"],
 )
 def test_the_worker_refuses(harness, args, words):
     refuses(harness.start("workers", *args), *words)

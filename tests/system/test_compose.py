@@ -1,4 +1,4 @@
-"""The Compose file with a real engine: build, eight workers, a killed worker, stop, clean up.
+"""The Compose file with a real engine: build, eight workers, who is killed comes back, clean up.
 
 It needs root, because it kills a container's process from the host, and it is skipped where no
 engine answers unless DPPO_REQUIRE_DOCKER=1. On a machine that reaches no registry, first run
@@ -102,7 +102,30 @@ def project():
     compose(name, "down", "-v", seconds=120)
 
 
-def test_eight_workers_train_and_a_killed_one_comes_back(project):
+def kill(project, service):
+    """Kill one container's process, see it restarted and eight workers train again."""
+    victim = next(iter(containers(project, service).values()))
+    before = iterations(project)[-1]["iteration"]
+    os.kill(victim["State"]["Pid"], signal.SIGKILL)
+    wait_for(
+        project,
+        f"the killed {service} restarted",
+        lambda: containers(project, service)[victim["Id"]]["RestartCount"] == 1,
+        60,
+    )
+    wait_for(
+        project,
+        f"three more iterations with {WORKERS} workers",
+        lambda: len(full_iterations(project, after=before)) >= 3,
+        180,
+    )
+
+
+def restarts(project, service):
+    return sorted(each["RestartCount"] for each in containers(project, service).values())
+
+
+def test_eight_workers_train_and_whoever_is_killed_comes_back(project):
     up = compose(
         project, "up", "-d", "--build", "--scale", f"worker={WORKERS}", seconds=900, check=False
     )
@@ -118,26 +141,15 @@ def test_eight_workers_train_and_a_killed_one_comes_back(project):
         touch = compose(project, "exec", "-T", service, "touch", "/here", check=False)
         assert "Read-only file system" in touch.stderr
 
-    victim = next(iter(containers(project, "worker").values()))
-    before = iterations(project)[-1]["iteration"]
-    os.kill(victim["State"]["Pid"], signal.SIGKILL)
-    wait_for(
-        project,
-        "the killed worker restarted",
-        lambda: containers(project, "worker")[victim["Id"]]["RestartCount"] == 1,
-        60,
-    )
-    wait_for(
-        project,
-        "three more iterations with 8 workers",
-        lambda: len(full_iterations(project, after=before)) >= 3,
-        180,
-    )
-    workers = containers(project, "worker").values()
-    assert sorted(each["RestartCount"] for each in workers) == [0] * (WORKERS - 1) + [1]
+    kill(project, "worker")
+    assert restarts(project, "worker") == [0] * (WORKERS - 1) + [1]
     (same,) = containers(project, "learner").values()
     assert same["RestartCount"] == 0
     assert same["State"]["StartedAt"] == learner["State"]["StartedAt"]
+
+    kill(project, "learner")
+    assert restarts(project, "learner") == [1]
+    assert restarts(project, "worker") == [0] * (WORKERS - 1) + [1]  # they outlived it
 
     compose(project, "stop", seconds=120)
     everyone = containers(project, "learner") | containers(project, "worker")

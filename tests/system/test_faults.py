@@ -142,7 +142,7 @@ def test_a_stopped_worker_is_given_up_and_rejoins(harness, undisturbed):
     )
     wait_until(lambda: iterations(run_dir) >= 2, "two iterations")
     stalled.send(signal.SIGSTOP)
-    wait_until(lambda: "worker stalled left" in learner.text, "the learner to give it up")
+    wait_until(lambda: "left: its connection is gone" in learner.text, "the learner to give it up")
     stalled.send(signal.SIGCONT)
     assert learner.wait() == 0, learner.text
     assert result(run_dir)["parameters_sha256"] == undisturbed

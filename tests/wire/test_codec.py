@@ -30,7 +30,10 @@ NARROW = np.array([1.5, -0.0, math.nan], np.float32)
 EMPTY = np.empty(0)
 
 EXAMPLES: list[Message] = [
-    messages.Hello(worker="w-3f2a", host="lab1", pid=7, numerics="9c1e", versions="mujoco 4.0.0"),
+    messages.Hello(
+        worker="w-3f2a", host="lab1", pid=7, numerics="9c1e", versions="mujoco 4.0.0",
+        served_run="5b7d", served_generation=2,
+    ),
     messages.Ready(
         worker="w", generation=1, obs_size=27, action_kind="box", action_sizes=(8,),
         env_hash="5d41", exact="captured",
@@ -46,7 +49,7 @@ EXAMPLES: list[Message] = [
     messages.Measured(worker="w", **PLACE, slot=3, kl=5.2, weight=512.0),
     messages.Alive(worker="w", generation=1, done=48211),
     messages.Failure(worker="w", generation=1, slot=3, usage=False, reason="slot 3, env 1 …"),
-    messages.Welcome(run="3f9c", generation=1, config='{"run": {}}'),
+    messages.Welcome(run="3f9c", generation=1, config='{"run": {}}', name="main"),
     messages.Restore(generation=1, iteration=4, slot=3, snapshot=b""),
     messages.Collect(
         **PLACE, slots=(0, 1), psi=0.1, beta=1.0, parameters=NARROW, obs=WIDE, returns=WIDE[:3],
