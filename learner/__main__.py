@@ -12,6 +12,7 @@ from dppo.settings import require
 
 if TYPE_CHECKING:
     from dppo.store.run_directory import RunDirectory
+    from learner.replay import Original
     from learner.session import Session
     from learner.signals import StopSignals
 
@@ -46,6 +47,8 @@ class ProcessArgs:
     """Folder of the run; empty: runs/<env>__<name>__psi<psi>__s<seed>__<time>."""
     name: str = "dppo"
     """Part of the default folder's name."""
+    replay: str = ""
+    """Run directory to run again by its ledger, to compare bits; see `dppo replay`."""
     resume: Literal["auto", "never"] = "auto"
     """With a run in --run-dir: continue it, or refuse."""
     checkpoint_every: int = 10
@@ -103,15 +106,20 @@ def _train(config: Config, args: ProcessArgs) -> int:
     from dppo.wire.zenoh_links import ZenohLearnerLink
     from learner.arguments import listening_address
     from learner.local import LocalWorkers
+    from learner.replay import Original
     from learner.session import Session
     from learner.signals import StopSignals, log_to_file
 
+    original = Original.read(Path(args.replay), config) if args.replay else None
+    stop_at = args.stop_at
+    if original is not None:
+        stop_at = min(stop_at, len(original.iterations) * config.rollout.samples)
     address = listening_address(args.listen, args.insecure)
     alarm = Alarm()
     link = SocketLearnerLink(ZenohLearnerLink(address, alarm.ring), alarm)
     path = Path(args.run_dir) if args.run_dir else default_path(config, args.name)
     folder = RunDirectory.open(path)
-    _check_resume(folder.has_run, path, args.resume)
+    _check_resume(folder.has_run, path, "never" if original else args.resume)
     folder.check_config(config)
     log_to_file(path / "log.txt")
     signals = StopSignals()
@@ -124,19 +132,13 @@ def _train(config: Config, args: ProcessArgs) -> int:
         signals.check()
         workers.look_after()
 
-    session = Session(
-        config,
-        folder,
-        link,
-        look_after,
-        args.checkpoint_every,
-        args.keep_checkpoints,
-        args.patience,
-    )
+    every, keep = args.checkpoint_every, args.keep_checkpoints
+    session = Session(config, folder, link, look_after, every, keep, args.patience, original)
     _announce(config, path, address, count)
     try:
         workers.start()
-        return _run(session, signals, folder, args.stop_at)
+        code = _run(session, signals, folder, stop_at)
+        return code if original is None else _compared(session, original)
     finally:
         workers.end()
         link.close()
@@ -170,6 +172,16 @@ def _run(session: "Session", signals: "StopSignals", folder: "RunDirectory", sto
         f"{result['parameters_sha256']}, see {folder.path / 'result.json'}",
         flush=True,
     )
+    return 0
+
+
+def _compared(session: "Session", original: "Original") -> int:
+    """A replay is over, and nothing that it has reached differs."""
+    done = 0 if session.state is None else session.state.iteration
+    if done < len(original.iterations):
+        print(f"stopped after {done} of {len(original.iterations)} iterations: not compared")
+        return 1
+    print(original.verdict, flush=True)
     return 0
 
 

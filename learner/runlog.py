@@ -1,4 +1,4 @@
-"""Reports to files: metrics.jsonl, progress.csv and TensorBoard, in step with the checkpoints.
+"""Reports to files: metrics, ledger and TensorBoard, in step with the checkpoints.
 
 A resumed run takes up its files where the checkpoint stands: lines of iterations that will be run
 again are cut off, so every iteration has one line.
@@ -10,7 +10,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from learner.report import DroppedGradients, IterationReport
+from dppo.store.ledger import Line, to_json
+from learner.report import IterationReport
 
 _COLUMNS = (
     "rollout/ep_rew_mean", "rollout/ep_len_mean", "charts/episodic_return", "charts/SPS",
@@ -19,6 +20,7 @@ _COLUMNS = (
     "train/policy_grad_norm", "train/value_grad_norm", "train/variance_grad_norm",
     "safety/psi", "safety/sigma_mean", "safety/return_std", "safety/cvar10", "safety/adv_v_std",
     "safety/adv_sigma_std", "cluster/workers", "cluster/round_ms", "cluster/dropped",
+    "cluster/acceptance_min", "cluster/drop_return_correlation", "cluster/drop_length_correlation",
 )  # fmt: skip
 """Of progress.csv; metrics.jsonl has the same."""
 
@@ -40,9 +42,9 @@ class RunLog:
             self._row(json.loads(line))
         self._board: Any = None
 
-    def write(self, report: IterationReport, speed: float, round_ms: float) -> None:
-        """One iteration; `speed` in environment steps per second, `round_ms` per exchange."""
-        metrics = report.metrics | {"charts/SPS": speed, "cluster/round_ms": round_ms}
+    def write(self, report: IterationReport, measured: dict[str, float]) -> None:
+        """One iteration; `measured`: metrics that depend on how it ran."""
+        metrics = report.metrics | measured
         row = {
             "iteration": report.iteration,
             "time/total_timesteps": report.env_steps,
@@ -53,12 +55,11 @@ class RunLog:
         self._metrics.flush()
         self._row(row)
         self._csv.flush()
-        self._scalars(report.env_steps, metrics | {"time/fps": speed})
+        self._scalars(report.env_steps, metrics | {"time/fps": metrics["charts/SPS"]})
 
-    def dropped(self, line: DroppedGradients) -> None:
+    def note(self, line: Line) -> None:
         """One ledger line."""
-        row = {"iteration": line.iteration, "update": line.update, "dropped": line.dropped}
-        self._ledger.write(json.dumps(row) + "\n")
+        self._ledger.write(to_json(line) + "\n")
         self._ledger.flush()
 
     def close(self) -> None:
