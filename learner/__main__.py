@@ -179,7 +179,8 @@ def _compared(session: "Session", original: "Original") -> int:
     """A replay is over, and nothing that it has reached differs."""
     done = 0 if session.state is None else session.state.iteration
     if done < len(original.iterations):
-        print(f"stopped after {done} of {len(original.iterations)} iterations: not compared")
+        whole = len(original.iterations)
+        print(f"stopped after {done} of {whole} iterations: not compared to the end", flush=True)
         return 1
     print(original.verdict, flush=True)
     return 0
