@@ -118,6 +118,7 @@ def _lead(args: argparse.Namespace) -> None:
     from dppo.wire.messages import Welcome
     from learner.chief import Chief
     from learner.exchange import Exchange
+    from learner.ledger import Ledger
     from learner.local import free_address
     from learner.soundness import Expected
     from learner.state import State
@@ -136,7 +137,7 @@ def _lead(args: argparse.Namespace) -> None:
     networks = Networks.build(spaces, config)
     exchange.expected = Expected(spaces, networks.size, config.rollout.samples_per_slot)
     state = State.initial(networks, spaces.obs_size, config)
-    chief = Chief(state, networks, config, 1, exchange, print)
+    chief = Chief(state, networks, config, 1, exchange, Ledger(config.rollout, lambda _: None))
     for _ in range(_WARM):
         chief.iterate()
     watch.reset()

@@ -29,6 +29,7 @@ from dppo.wire.memory_links import MemoryHub, MemoryLearnerLink, MemoryWorkerLin
 from dppo.wire.messages import ToLearner, ToWorker, Welcome
 from learner.chief import Chief
 from learner.exchange import Exchange
+from learner.ledger import Ledger
 from learner.soundness import Expected
 from learner.state import State
 
@@ -121,7 +122,7 @@ def _chief(slots: int, iterations: int, watch: Stopwatch) -> Result:
     exchange.expected = Expected(SPACES, networks.size, config.rollout.samples_per_slot)
     exchange.wait_for_environment()
     state = State.initial(networks, SPACES.obs_size, config)
-    chief = Chief(state, networks, config, 1, exchange, print)
+    chief = Chief(state, networks, config, 1, exchange, Ledger(config.rollout, lambda _: None))
     while exchange.num_workers < slots:
         chief.iterate()
     chief.iterate()  # slots are spread over all of them at its beginning

@@ -1,9 +1,10 @@
-"""`dppo`: looks at what a run has left, and at the machine; runs the Four Rooms experiment.
+"""`dppo`: looks at what a run has left, runs it again, and at the machine; Four Rooms.
 
 Training is `dppo-learner`.
 """
 
 import json
+import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +16,8 @@ if TYPE_CHECKING:
     from dppo.store.checkpoint import Checkpoint
 
 _USAGE = (
-    "usage: dppo {eval,checkpoint} RUN [options], or dppo {four-rooms,bench} [options]; "
-    "dppo eval --help, dppo checkpoint --help, dppo four-rooms --help, dppo bench --help"
+    "usage: dppo {eval,checkpoint,replay} RUN [options], or dppo {four-rooms,bench} [options]; "
+    "--help after one of these says more"
 )
 
 
@@ -54,6 +55,23 @@ class CheckpointArgs:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ReplayArgs:
+    """Run a run again by its ledger and compare the bits; exit code 1: they differ, and where."""
+
+    run: str
+    """Run directory."""
+    out: str = ""
+    """Folder for the second run; empty: replay, in the run directory."""
+    local_workers: int = -1
+    """Worker processes to start here; -1: one per core. No number changes the bits."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be run."""
+        count = self.local_workers
+        require(count == -1 or count >= 1, "local_workers", count, "-1 or >= 1")
+
+
+@dataclass(frozen=True, kw_only=True)
 class BenchArgs:
     """Measure how fast this machine steps an environment, against bare physics, with advice."""
 
@@ -88,6 +106,8 @@ def _command(words: list[str]) -> int:
             return _eval(parse(EvalArgs, _run_first(rest), "dppo eval"))
         case ["checkpoint", *rest]:
             return _checkpoint(parse(CheckpointArgs, _run_first(rest), "dppo checkpoint"))
+        case ["replay", *rest]:
+            return _replay(parse(ReplayArgs, _run_first(rest), "dppo replay"))
         case ["four-rooms", *rest]:
             from dppo.four_rooms.command import FourRoomsArgs, run
 
@@ -99,7 +119,7 @@ def _command(words: list[str]) -> int:
             return 0
     found = words[0] if words else "nothing"
     print(
-        f"error: found {found}, expected eval, checkpoint, four-rooms or bench\n{_USAGE}",
+        f"error: found {found}, expected eval, checkpoint, replay, four-rooms or bench\n{_USAGE}",
         file=sys.stderr,
     )
     return 2
@@ -155,6 +175,29 @@ def _checkpoint(args: CheckpointArgs) -> int:
     }
     print(json.dumps(summary, indent=2))
     return 0
+
+
+def _replay(args: ReplayArgs) -> int:
+    """Becomes a learner, which this package may not import: signals and exit code are its own.
+
+    Raises:
+        UsageError: there is no run, or its replay is there already.
+    """
+    from dppo.errors import UsageError
+
+    run = Path(args.run)
+    out = Path(args.out) if args.out else run / "replay"
+    for name in ("config.json", "ledger.jsonl"):
+        if not (run / name).is_file():
+            raise UsageError(
+                f"{run} holds no {name}; expected a run directory of dppo-learner that has begun"
+            )
+    if (out / "config.json").exists():
+        raise UsageError(f"{out} holds a run already; remove it, or give another folder by --out")
+    words = {"config": run / "config.json", "replay": run, "run-dir": out}
+    flags = [word for name, value in words.items() for word in (f"--{name}", str(value))]
+    flags += ["--local-workers", str(args.local_workers)]
+    os.execv(sys.executable, [sys.executable, "-m", "learner", *flags])
 
 
 def _bench(args: BenchArgs) -> int:

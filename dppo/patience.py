@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from statistics import median
 
 WINDOW = 64
-"""Durations that count, the newest ones [count]."""
+"""Durations that count unless told otherwise, the newest ones [count]."""
 ENOUGH = 8
 """Durations without which `first` is the limit [count]."""
 _TO_STANDARD = 1.4826
@@ -33,8 +33,14 @@ class Patience:
     """The limit is never below this [s]."""
     deviations: float = 5.0
     """How many standard deviations above the median the limit is [count]."""
-    _durations: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    window: int = WINDOW
+    """How many of the newest durations count [count]."""
+    _durations: deque[float] = field(init=False)
     _doublings: int = 0
+
+    def __post_init__(self) -> None:
+        """Nothing is known at first."""
+        self._durations = deque(maxlen=self.window)
 
     def note(self, seconds: float) -> None:
         """It took so long."""

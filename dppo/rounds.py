@@ -2,7 +2,7 @@
 
 A state machine without clock or socket. It is fed with what arrives and says what that was; it
 says who is missing and whether enough are in (Heess et al., Algorithm 2: "wait until at least
-W - D gradients are available").
+W - D gradients are available"). How long it waits for the others is in `deadlines.py`.
 """
 
 from collections.abc import Iterable
@@ -40,6 +40,12 @@ class Round(Generic[Answer]):
     quorum: int
     """Slots that must be in before the round may close."""
     answers: dict[Block, Answer] = field(default_factory=dict)
+    required: frozenset[int] = frozenset()
+    """Slots that must be among those that are in, whatever the quorum."""
+    overdue: bool = False
+    """The time that it waits for all is over."""
+    waited: float = 0.0
+    """How long it took until it closed [s]."""
     _missing: set[int] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -63,5 +69,8 @@ class Round(Generic[Answer]):
 
     @property
     def may_close(self) -> bool:
-        """At least `quorum` slots are in."""
-        return sum(size for _, size in self.answers) >= self.quorum
+        """All slots are in; or it is overdue, and the required ones and the quorum are in."""
+        if not self._missing:
+            return True
+        enough = sum(size for _, size in self.answers) >= self.quorum
+        return self.overdue and enough and self._missing.isdisjoint(self.required)

@@ -36,7 +36,9 @@ class RolloutConfig:
     window: int = 0
     """K: advantages are cut and bootstrapped every K steps; 0: only at num_steps [env steps]."""
     drop: int = 0
-    """D: an update proceeds once W - D slots are in; late ones are never applied [count]."""
+    """D: an update may go on without D late slots, once its deadline is over [count]."""
+    drop_limit: int = 8
+    """A slot dropped in so many updates running is waited for in the next [count]."""
     time_limit: Literal["bootstrap", "time-feature"] = "bootstrap"
     """Past a truncation: bootstrap V and σ, or (paper) observe 0.001 t and count it as an end."""
     normalize_obs: Literal["std", "paper", "off"] = "std"
@@ -50,7 +52,7 @@ class RolloutConfig:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
-        for name in ("slots", "num_envs", "num_steps"):
+        for name in ("slots", "num_envs", "num_steps", "drop_limit"):
             require(getattr(self, name) >= 1, name, getattr(self, name), ">= 1")
         require(self.slots <= 4096, "slots", self.slots, "<= 4096")
         require(
@@ -70,7 +72,7 @@ class RolloutConfig:
 
     @property
     def quorum(self) -> int:
-        """W - D: the slots one update waits for."""
+        """W - D: the slots one update waits for, however long it takes."""
         return self.slots - self.drop
 
     @property

@@ -21,6 +21,7 @@ from dppo.wire.memory_links import MemoryHub
 from dppo.wire.messages import Welcome
 from learner.chief import Chief
 from learner.exchange import Exchange
+from learner.ledger import Ledger
 from learner.state import State
 from workers.envs import quiet
 from workers.membership import Member
@@ -45,7 +46,7 @@ def main(num_workers: int) -> None:
     spaces = exchange.wait_for_environment()  # a worker built it; the chief never sees it
     networks = Networks.build(spaces, CONFIG)
     state = State.initial(networks, spaces.obs_size, CONFIG)
-    chief = Chief(state, networks, CONFIG, 1, exchange, print)
+    chief = Chief(state, networks, CONFIG, 1, exchange, Ledger(CONFIG.rollout, lambda _: None))
     while chief.state.iteration < CONFIG.iterations:
         report = chief.iterate()
         mean, kl = (report.metrics.get(name, 0.0) for name in ("rollout/ep_rew_mean", "train/kl"))

@@ -13,6 +13,7 @@ from dppo.settings import require
 
 if TYPE_CHECKING:
     from dppo.store.run_directory import RunDirectory
+    from learner.replay import Original
     from learner.session import Session
     from learner.signals import StopSignals
 
@@ -47,6 +48,8 @@ class ProcessArgs:
     """Folder of the run; empty: runs/<env>__<name>__psi<psi>__s<seed>__<time>."""
     name: str = "dppo"
     """Part of the default folder's name."""
+    replay: str = ""
+    """Run directory to run again by its ledger, to compare bits; see `dppo replay`."""
     resume: Literal["auto", "never"] = "auto"
     """With a run in --run-dir: continue it, or refuse."""
     checkpoint_every: int = 10
@@ -124,23 +127,23 @@ def _become_supervisor(config: Config, args: ProcessArgs, arguments: list[str]) 
 
 def _train(config: Config, args: ProcessArgs, supervisor: int | None) -> int:
     from dppo.process import usable_cores
-    from dppo.store.run_directory import RunDirectory, default_path
     from dppo.wire.socket_links import Alarm, SocketLearnerLink
     from dppo.wire.zenoh_links import ZenohLearnerLink
     from learner.arguments import listening_address
     from learner.local import LocalWorkers
+    from learner.replay import Original
     from learner.session import Session
     from learner.signals import StopSignals, log_to_file
 
+    original = Original.read(Path(args.replay), config) if args.replay else None
+    stop_at = args.stop_at
+    if original is not None:
+        stop_at = min(stop_at, len(original.iterations) * config.rollout.samples)
     address = listening_address(args.listen, args.insecure)
     alarm = Alarm()
     link = SocketLearnerLink(ZenohLearnerLink(address, alarm.ring), alarm)
-    path = Path(args.run_dir) if args.run_dir else default_path(config, args.name)
-    folder = RunDirectory.open(path)
-    _check_resume(folder.has_run, path, args.resume)
-    folder.check_config(config)
-    folder.check_fence()
-    log_file = log_to_file(path / "log.txt")
+    folder = _folder(config, args)
+    log_file = log_to_file(folder.path / "log.txt")
     signals = StopSignals(supervisor)
     count = args.local_workers
     if count < 0:
@@ -151,19 +154,13 @@ def _train(config: Config, args: ProcessArgs, supervisor: int | None) -> int:
         signals.check()
         workers.look_after()
 
-    session = Session(
-        config,
-        folder,
-        link,
-        look_after,
-        args.checkpoint_every,
-        args.keep_checkpoints,
-        args.patience,
-    )
-    _announce(config, path, address, count)
+    every, keep = args.checkpoint_every, args.keep_checkpoints
+    session = Session(config, folder, link, look_after, every, keep, args.patience, original)
+    _announce(config, folder.path, address, count)
     try:
         workers.start()
-        return _run(session, signals, folder, args.stop_at)
+        code = _run(session, signals, folder, stop_at)
+        return code if original is None else _compared(session, original)
     finally:
         workers.end()
         link.close()
@@ -227,14 +224,36 @@ def _leave_result(folder: "RunDirectory", result: dict[str, object]) -> None:
         )
 
 
-def _check_resume(has_run: bool, path: Path, resume: str) -> None:
-    from dppo.errors import UsageError
+def _compared(session: "Session", original: "Original") -> int:
+    """A replay is over, and nothing that it has reached differs."""
+    done = 0 if session.state is None else session.state.iteration
+    if done < len(original.iterations):
+        whole = len(original.iterations)
+        print(f"stopped after {done} of {whole} iterations: not compared to the end", flush=True)
+        return 1
+    print(original.verdict, flush=True)
+    return 0
 
-    if has_run and resume == "never":
+
+def _folder(config: Config, args: ProcessArgs) -> "RunDirectory":
+    """The run directory, if this run may begin or go on in it.
+
+    Raises:
+        UsageError: it may not; says why.
+    """
+    from dppo.errors import UsageError
+    from dppo.store.run_directory import RunDirectory, default_path
+
+    path = Path(args.run_dir) if args.run_dir else default_path(config, args.name)
+    folder = RunDirectory.open(path)
+    if folder.has_run and (args.replay or args.resume == "never"):
         raise UsageError(
             f"--run-dir {path} holds a run and --resume is never; give another folder, or "
             "--resume auto to continue it"
         )
+    folder.check_config(config)
+    folder.check_fence()
+    return folder
 
 
 def _announce(config: Config, path: Path, address: str, count: int) -> None:

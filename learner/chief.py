@@ -8,10 +8,10 @@
         adapt the KL coefficient                                       _adapt
 
 Policy, value and variance share their rounds: one message carries all three gradients. Waiting,
-leases and lost workers are in `exchange.py`; files and figures in `runlog.py`.
+leases and lost workers are in `exchange.py`; who was dropped in `ledger.py`; files and figures in
+`runlog.py`.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import cast
 
@@ -36,7 +36,8 @@ from dppo.schedules import (
 from dppo.sums import block_sum, whole
 from dppo.wire.messages import Answer, Collect, Collected, Gradient, Measure, Measured, Update
 from learner.exchange import Exchange
-from learner.report import DroppedGradients, IterationReport, Training, summarise
+from learner.ledger import Ledger
+from learner.report import IterationReport, Training, summarise
 from learner.state import State
 
 Float32 = NDArray[np.float32]
@@ -52,7 +53,7 @@ class Chief:
         config: Config,
         generation: int,
         exchange: Exchange,
-        ledger: Callable[[DroppedGradients], None],
+        ledger: Ledger,
     ) -> None:
         self.state = state
         self._networks, self._config, self._generation = networks, config, generation
@@ -72,6 +73,7 @@ class Chief:
             self._improve(advantages, training)
             self._adapt(collected, training)
         self._advance(collected, training)
+        self._ledger.iterated(before.iteration, self._parameters, collected)
         return summarise(
             before, self.state, collected, training, self._config, self._exchange.num_workers
         )
@@ -85,15 +87,15 @@ class Chief:
                     generation=self._generation,
                     iteration=self.state.iteration,
                     round=1 + update,
-                    slots=self._slots,
+                    slots=self._ledger.slots(self.state.iteration, update),
                     stopped=tuple(sorted(stopped)),
                     parameters=self._parameters,
                     advantages=advantages.to_vector(),
                 ),
                 quorum=self._config.rollout.quorum,
             )
-            self._note_dropped(gradients, training)
             stopped |= self._apply(gradients, training)
+            training.dropped += self._ledger.updated(gradients, self._parameters)
         measured = self._exchange.gather(
             Measure(
                 generation=self._generation,
@@ -102,7 +104,7 @@ class Chief:
                 slots=self._slots,
                 parameters=self._parameters,
             ),
-            quorum=self._config.rollout.quorum,
+            quorum=self._config.rollout.slots,
         )
         answers = cast("list[Measured]", list(measured.answers.values()))
         training.kls = [
@@ -212,18 +214,6 @@ class Chief:
             dropped_gradients=state.dropped_gradients + training.dropped,
             snapshots={answer.slot: answer.snapshot for answer in collected},
         )
-
-    def _note_dropped(self, gradients: Round[Answer], training: Training) -> None:
-        """The ledger: which slots this update went on without."""
-        if gradients.missing:
-            training.dropped += len(gradients.missing)
-            self._ledger(
-                DroppedGradients(
-                    iteration=gradients.id.iteration,
-                    update=gradients.id.round - 1,
-                    dropped=gradients.missing,
-                )
-            )
 
 
 def _merged(vectors: list[NDArray[np.float64]]) -> Moments:

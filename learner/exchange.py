@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from math import isfinite
 
+from dppo.deadlines import Deadlines
 from dppo.errors import RunFailedError
 from dppo.leases import Leases
 from dppo.patience import Patience
@@ -58,6 +59,7 @@ class Exchange:
         look_after: Callable[[], None],
         patience: float = 3.0,
         clock: Callable[[], float] = time.monotonic,
+        deadlines: Deadlines | None = None,
     ) -> None:
         """Nobody has joined yet.
 
@@ -68,6 +70,7 @@ class Exchange:
             look_after: called in every pause; it may raise to end the run.
             patience: the least time that a worker may make no progress, or be silent [s].
             clock: seconds since some moment.
+            deadlines: of updates that may go on without some slots; None: all wait for all.
         """
         self._link, self._welcome, self._leases = link, welcome, leases
         self._look_after = look_after
@@ -84,6 +87,7 @@ class Exchange:
         """The form of answers; to be set before the first question."""
         self.exact = True
         """No slot has lost a bit on a move."""
+        self._deadlines = deadlines or Deadlines(leases.num_slots, drop_limit=0)
 
     @property
     def roster(self) -> Roster:
@@ -118,20 +122,24 @@ class Exchange:
             log.warning("%d workers stand by: --slots %d is what limits them", spares, slots)
 
     def gather(self, task: Task, quorum: int) -> Round[Answer]:
-        """Ask all slots, wait until the quorum is in, take what else is there; the round."""
+        """Ask all slots, wait until the round may close, take what else is there; the round."""
         self._look_after()
         round_ = self._questions.open(task, quorum)
         begun = remarked = self._clock()
+        deadline = self._deadlines.open(round_, begun)
         if isinstance(task, Collect):
             for worker in set(self._leases.holder.values()):
                 self._members.pace.begin(worker, len(self._leases.slots_of(worker)), begun)
         while not round_.may_close:
-            self._handle(_TICK)
+            left = deadline - self._clock()
+            self._handle(min(_TICK, left) if left > 0 else _TICK)
+            round_.overdue = self._clock() >= deadline
             if self._clock() - remarked > _REMARK_SECONDS:
                 remarked = self._clock()
                 log.warning("%s, for %.0f s", self.waiting(), remarked - begun)
         while round_.missing and self._handle(0.0):
             pass
+        self._deadlines.close(round_, self._clock())
         self._questions.close()
         self._members.calm()
         return round_
@@ -196,6 +204,7 @@ class Exchange:
             return
         round_id = RoundId(answer.generation, answer.iteration, answer.round)
         self._questions.settle(answer, round_id)
+        self._deadlines.answered(round_id, (first, size), self._clock())
         if isinstance(answer, Collected):
             self._note_exactness(answer)
         round_, task = self._questions.round, self._questions.task

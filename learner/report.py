@@ -11,15 +11,6 @@ from dppo.wire.messages import Collected
 from learner.state import State
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DroppedGradients:
-    """One ledger line: an update that went on without some slots."""
-
-    iteration: int
-    update: int
-    dropped: tuple[int, ...]
-
-
 @dataclass(slots=True)
 class Training:
     """Figures of one iteration's updates while they are made."""

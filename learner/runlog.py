@@ -1,4 +1,4 @@
-"""Reports to files: metrics.jsonl, progress.csv and TensorBoard, in step with the checkpoints.
+"""Reports to files: metrics, ledger and TensorBoard, in step with the checkpoints.
 
 A resumed run takes up its files where the checkpoint stands: lines of iterations that will be run
 again are cut off, so every iteration has one line. Nothing here waits for the disk; see `disk.py`.
@@ -13,8 +13,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+from dppo.errors import UsageError
+from dppo.store.ledger import Line, from_values, to_json
 from learner.disk import Disk, GrowingFile
-from learner.report import DroppedGradients, IterationReport
+from learner.report import IterationReport
 
 _COLUMNS = (
     "rollout/ep_rew_mean", "rollout/ep_len_mean", "charts/episodic_return", "charts/SPS",
@@ -23,6 +25,7 @@ _COLUMNS = (
     "train/policy_grad_norm", "train/value_grad_norm", "train/variance_grad_norm",
     "safety/psi", "safety/sigma_mean", "safety/return_std", "safety/cvar10", "safety/adv_v_std",
     "safety/adv_sigma_std", "cluster/workers", "cluster/round_ms", "cluster/dropped",
+    "cluster/acceptance_min", "cluster/drop_return_correlation", "cluster/drop_length_correlation",
     "cluster/unsaved_iterations",
 )  # fmt: skip
 """Of progress.csv; metrics.jsonl has the same."""
@@ -33,25 +36,27 @@ class RunLog:
     """The metric files of one run."""
 
     def __init__(self, folder: Path, iteration: int, disk: Disk) -> None:
-        """Take up the files of a run that stands at the start of `iteration`."""
+        """Take up the files of a run that stands at the start of `iteration`.
+
+        Raises:
+            UsageError: the ledger has a line that is none.
+        """
         self._disk = disk
         self._metrics, rows = _taken_up(folder, "metrics.jsonl", iteration, disk)
         # the iteration under way notes what was dropped, counted from 0
-        self._ledger, _ = _taken_up(folder, "ledger.jsonl", iteration - 1, disk)
+        self._ledger, noted = _taken_up(folder, "ledger.jsonl", iteration - 1, disk)
+        try:
+            self.noted = [from_values(row) for row in noted]
+            """The ledger's lines so far."""
+        except ValueError as error:
+            raise UsageError(f"{folder / 'ledger.jsonl'} is no ledger: {error}") from error
         self._table = disk.file("progress.csv", 0)
         self._table.write(_cells([*_HEADER]) + b"".join(map(_row, rows)))
         self._board: Any = None
 
-    def write(self, report: IterationReport, speed: float, round_ms: float, unsaved: int) -> None:
-        """One iteration; `speed` in environment steps per second, `round_ms` per exchange.
-
-        `unsaved`: iterations since the newest checkpoint on the disk.
-        """
-        metrics = report.metrics | {
-            "charts/SPS": speed,
-            "cluster/round_ms": round_ms,
-            "cluster/unsaved_iterations": float(unsaved),
-        }
+    def write(self, report: IterationReport, measured: dict[str, float]) -> None:
+        """One iteration; `measured`: metrics that depend on how it ran."""
+        metrics = report.metrics | measured
         row = {
             "iteration": report.iteration,
             "time/total_timesteps": report.env_steps,
@@ -60,13 +65,11 @@ class RunLog:
         }
         self._metrics.write(_line(row))
         self._table.write(_row(row))
-        self._scalars(report.env_steps, metrics | {"time/fps": speed})
+        self._scalars(report.env_steps, metrics | {"time/fps": metrics["charts/SPS"]})
 
-    def dropped(self, line: DroppedGradients) -> None:
+    def note(self, line: Line) -> None:
         """One ledger line."""
-        self._ledger.write(
-            _line({"iteration": line.iteration, "update": line.update, "dropped": line.dropped})
-        )
+        self._ledger.write((to_json(line) + "\n").encode())
 
     def close(self) -> None:
         """Wait until everything is written that the disk takes."""

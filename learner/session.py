@@ -5,9 +5,11 @@ import logging
 import time
 from collections.abc import Callable
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 from dppo.config import Config
+from dppo.deadlines import Deadlines
 from dppo.errors import UsageError
 from dppo.leases import Leases
 from dppo.networks import Networks
@@ -21,6 +23,8 @@ from learner.chief import Chief
 from learner.console import Console
 from learner.disk import Disk
 from learner.exchange import Exchange
+from learner.ledger import Ledger
+from learner.replay import Original
 from learner.runlog import RunLog
 from learner.saving import Saving
 from learner.soundness import Expected
@@ -42,8 +46,10 @@ class Session:
         checkpoint_every: int,
         keep: int,
         patience: float,
+        original: Original | None = None,
     ) -> None:
-        self._config, self._folder = config, folder
+        """With an `original` it is run again, by its ledger."""
+        self._config, self._folder, self._original = config, folder, original
         self._every = checkpoint_every
         self.generation = folder.next_generation()
         welcome = Welcome(
@@ -53,11 +59,19 @@ class Session:
             name=folder.path.name,
         )
         self._run_id = welcome.run
+        rollout = config.rollout
+        self._deadlines = Deadlines(rollout.slots, 0 if original else rollout.drop_limit)
         self._exchange = Exchange(
-            link, welcome, Leases(config.rollout.slots), look_after, patience
+            link,
+            welcome,
+            Leases(rollout.slots),
+            look_after,
+            patience,
+            deadlines=self._deadlines,
         )
         self._disk = Disk(folder.path, "the run's logs")
         self._saving = Saving(self._disk, folder.checkpoints, keep, self._checkpoint_facts)
+        self._ledger: Ledger | None = None
         self.state: State | None = None
 
     def train(self, stop_at: int) -> dict[str, object]:
@@ -70,9 +84,11 @@ class Session:
         )
         if checkpoint is None:
             self.state = State.initial(networks, spaces.obs_size, self._config)
+            if self._original is not None:
+                self._check_environment(self._original.facts, self._original.run)
             self._write_config(networks)
         else:
-            self._check_environment()
+            self._check_environment(self._folder.read_json("config.json"), self._folder.path)
             check_snapshots(checkpoint)
             self.state = State.from_checkpoint(checkpoint)
             self._saving.resumed(self.state)
@@ -80,9 +96,12 @@ class Session:
                 "resuming at iteration %d of %d", self.state.iteration, self._config.iterations
             )
         runlog = RunLog(self._folder.path, self.state.iteration, self._disk)
+        self._ledger = Ledger(
+            self._config.rollout, runlog.note, self._deadlines, runlog.noted, self._original
+        )
         console = Console(self._config, self.state.iteration * self._config.rollout.samples)
         try:
-            self._iterate(networks, runlog, console, stop_at)
+            self._iterate(networks, self._ledger, runlog, console, stop_at)
         finally:
             console.close()
             runlog.close()
@@ -104,11 +123,11 @@ class Session:
         self._exchange.stop("the learner was stopped", final=False)
         return None if self.state is None else self._result("stopped")
 
-    def _iterate(self, networks: Networks, runlog: RunLog, console: Console, stop_at: int) -> None:
+    def _iterate(
+        self, networks: Networks, ledger: Ledger, runlog: RunLog, console: Console, stop_at: int
+    ) -> None:
         assert self.state is not None
-        chief = Chief(
-            self.state, networks, self._config, self.generation, self._exchange, runlog.dropped
-        )
+        chief = Chief(self.state, networks, self._config, self.generation, self._exchange, ledger)
         rounds = self._config.update.updates + 2
         while self.state.iteration < self._config.iterations and self._env_steps < stop_at:
             begun = time.monotonic()
@@ -116,8 +135,12 @@ class Session:
             seconds = time.monotonic() - begun
             speed = self._config.rollout.samples / seconds
             self.state = chief.state
-            unsaved = self._saving.unsaved(self.state.iteration)
-            runlog.write(report, speed, 1000 * seconds / rounds, unsaved)
+            measured = {
+                "charts/SPS": speed,
+                "cluster/round_ms": 1000 * seconds / rounds,
+                "cluster/unsaved_iterations": self._saving.unsaved(self.state.iteration),
+            }
+            runlog.write(report, measured | ledger.accounts.metrics())
             console.show(report, speed)
             if self.state.iteration % self._every == 0:
                 self._saving.begin(self.state)
@@ -179,16 +202,16 @@ class Session:
             },
         )
 
-    def _check_environment(self) -> None:
-        """A resumed run needs the environment it began with; other versions are worth a warning.
+    def _check_environment(self, before: dict[str, Any], path: Path) -> None:
+        """A run goes on, or again, in the environment it had; other versions are worth a warning.
 
         Raises:
             UsageError: sizes, model or snapshots are not the run's.
         """
-        before, now = self._folder.read_json("config.json"), self._facts()
+        now = self._facts()
         if before.get("environment") != now["environment"]:
             raise UsageError(
-                f"{self._folder.path} was trained on another environment: {before['environment']} "
+                f"{path} was trained on another environment: {before['environment']} "
                 f"then, {now['environment']} now; install the versions it names: "
                 f"{before['versions']}"
             )
@@ -203,6 +226,7 @@ class Session:
 
     def _result(self, status: str) -> dict[str, object]:
         assert self.state is not None
+        assert self._ledger is not None
         state, returns = self.state, self.state.episodes[:, 0]
         some = len(returns) > 0
         return {
@@ -219,4 +243,5 @@ class Session:
             "restarts": self.generation - 1,
             "exact": self._config.rollout.drop == 0 and self._exchange.exact,
             "dropped_gradients": state.dropped_gradients,
+            **self._ledger.accounts.figures(),
         }

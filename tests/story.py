@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dppo.deadlines import Deadlines
 from dppo.leases import Leases
 from dppo.spaces import Spaces
 from dppo.wire import messages as wire
@@ -99,16 +100,18 @@ class _Prompt:
 class Story:
     """An exchange and the workers it talks to; with names, these have been through iteration 0."""
 
-    def __init__(self, *names):
+    def __init__(self, *names, patience=1.0):
         self.hub, self.pauses, self.silences, self.now = MemoryHub(), 0, 1, 0.0
         self.then = {}
+        self.deadlines = Deadlines(SLOTS, drop_limit=3)
         self.exchange = Exchange(
             _Prompt(self.hub.learner()),
             WELCOME,
             Leases(SLOTS),
             self.look_after,
-            1.0,
+            patience,
             lambda: self.now,
+            self.deadlines,
         )
         self.exchange.expected = Expected(SPACES, PARAMETERS, SAMPLES)
         self.players = [Player(name, self.hub).join() for name in names]
@@ -134,7 +137,7 @@ class Story:
         self.then = {int(when.split("_")[1]): act for when, act in then.items()}
 
     def ask(self, task, quorum=SLOTS):
-        self.pauses = 0 if quorum == SLOTS else -1  # it also looks whether more is there already
+        self.pauses = 0
         return self.exchange.gather(task, quorum)
 
     def collect(self, task=COLLECT, snapshots=BEFORE):

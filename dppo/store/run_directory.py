@@ -2,7 +2,7 @@
 
 config.json       resolved settings, versions, hash of the model XML
 progress.csv      one row per iteration        metrics.jsonl   the same, one object per line
-checkpoints/      see checkpoint.py            ledger.jsonl    dropped gradients
+checkpoints/      see checkpoint.py            ledger.jsonl    see ledger.py
 log.txt           what the learner logged      result.json     how it ended
 generation        how often a learner was started here
 run-id            the run's random id, the same in every copy of the folder

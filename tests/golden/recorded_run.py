@@ -31,6 +31,7 @@ from dppo.wire.memory_links import MemoryHub, MemoryLearnerLink
 from dppo.wire.messages import Collect, Gradient, Measure, Update, Welcome
 from learner.chief import Chief
 from learner.exchange import Exchange
+from learner.ledger import Ledger
 from learner.soundness import Expected
 from learner.state import State
 from workers.membership import Member
@@ -143,7 +144,7 @@ def train(config):
     networks = Networks.build(spaces, config)
     exchange.expected = Expected(spaces, networks.size, ENVS * STEPS)
     state = State.initial(networks, spaces.obs_size, config)
-    chief = Chief(state, networks, config, 1, exchange, print)
+    chief = Chief(state, networks, config, 1, exchange, Ledger(config.rollout, lambda _: None))
     for _ in range(ITERATIONS):
         chief.iterate()
     exchange.stop("the run is finished", final=True)

@@ -9,10 +9,11 @@ from pathlib import Path
 import pytest
 
 from dppo.config import Config
+from dppo.store.ledger import IterationLine
 from learner import disk as disk_module
 from learner.console import Console
 from learner.disk import Disk, GrowingFile
-from learner.report import DroppedGradients, IterationReport
+from learner.report import IterationReport
 from learner.runlog import RunLog
 from learner.signals import FileHandler
 from tests.faulty_disk import FaultyDisk, interrupted
@@ -33,6 +34,13 @@ def report(iteration):
     return IterationReport(
         iteration=iteration, env_steps=10 * iteration, metrics={"train/kl": 0.5 * iteration}
     )
+
+
+def measured(unsaved):
+    """Figures that depend on how it ran."""
+    return {
+        "charts/SPS": 1.0, "cluster/round_ms": 1.0, "cluster/unsaved_iterations": float(unsaved)
+    }  # fmt: skip
 
 
 def iterations_in(file):
@@ -76,7 +84,7 @@ def test_a_kill_at_any_call_leaves_lines_that_the_next_learner_goes_on_from(tmp_
         kept = iterations_in(path) if path.exists() else []
         found.add(len(kept))
         for iteration in range(len(kept) + 1, 5):
-            runlog.write(report(iteration), 1.0, 1.0, 0)
+            runlog.write(report(iteration), measured(0))
         runlog.close()
         assert iterations_in(path) == [1, 2, 3, 4]
         for file in tmp_path.iterdir():
@@ -92,12 +100,12 @@ def test_a_full_disk_is_said_once_and_so_is_its_recovery(tmp_path, monkeypatch, 
         with monkeypatch.context() as patch:
             FaultyDisk(patch, at=1, way="fails on")
             for iteration in (1, 2, 3):
-                runlog.write(report(iteration), 1.0, 1.0, 0)
+                runlog.write(report(iteration), measured(0))
                 written(disk)
         assert caplog.text.count("the run's logs in") == 1
         assert f"{tmp_path} cannot be written: [Errno 28] No space left on device" in caplog.text
-        runlog.write(report(4), 1.0, 1.0, 4)
-        runlog.dropped(DroppedGradients(iteration=4, update=1, dropped=(2, 3)))
+        runlog.write(report(4), measured(4))
+        runlog.note(IterationLine(iteration=4, parameters_sha256="9c1e"))
         runlog.close()
     assert caplog.text.count("the run's logs are written again") == 1
     assert "Traceback" not in caplog.text
@@ -154,7 +162,7 @@ def test_a_disk_that_hangs_stops_neither_the_run_nor_its_log(tmp_path):
     os.mkfifo(tmp_path / "log.txt")
     handler = FileHandler(tmp_path / "log.txt")
     for iteration in range(1, 1001):
-        runlog.write(report(iteration), 1.0, 1.0, 0)
+        runlog.write(report(iteration), measured(0))
         handler.handle(logging.makeLogRecord({"msg": "slow", "levelno": logging.WARNING}))
     stuck = disk.run(lambda: None)
     assert not stuck.done()
@@ -203,7 +211,7 @@ def test_a_resumed_run_cuts_what_is_torn_or_will_be_run_again(tmp_path, tail, ke
     (tmp_path / "metrics.jsonl").write_bytes(text + tail)
     disk = Disk(tmp_path, "logs")
     runlog = RunLog(tmp_path, 4, disk)
-    runlog.write(report(5), 1.0, 1.0, 0)
+    runlog.write(report(5), measured(0))
     runlog.close()
     assert iterations_in(tmp_path / "metrics.jsonl") == [*kept, 5]
     table = (tmp_path / "progress.csv").read_text().splitlines()
@@ -225,7 +233,7 @@ def test_a_file_that_somebody_emptied_goes_on_without_a_hole(tmp_path):
 def test_no_file_is_left_open(tmp_path):
     disk = Disk(tmp_path, "logs")
     runlog = RunLog(tmp_path, 0, disk)
-    runlog.write(report(1), 1.0, 1.0, 0)
+    runlog.write(report(1), measured(0))
     runlog.close()
     handles = Path("/proc/self/fd").iterdir()
     targets = [str(handle.readlink()) for handle in handles if handle.is_symlink()]

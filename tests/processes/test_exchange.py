@@ -163,22 +163,6 @@ def test_settings_that_no_worker_can_build_are_the_users_error():
         story.exchange.wait_for_environment()
 
 
-def test_a_round_closes_without_the_late_worker_which_is_asked_again_once_it_has_answered():
-    story, one, two = two_that_have_collected()
-    one.gradient(0, 2)
-    assert story.ask(UPDATE, quorum=2).missing == (2, 3)
-    assert (one.heard(), two.heard()) == (["Update (0, 1)"], ["Update (2, 3)"])
-    one.gradient(0, 2, round=2)
-    assert story.ask(replace(UPDATE, round=2), quorum=2).missing == (2, 3)
-    assert (one.heard(), two.heard()) == (["Update (0, 1)"], [])
-    two.gradient(2, 2, vector=9 * ONES)  # of round 1: frees w2, counts for nothing
-    one.gradient(0, 2, round=3)
-    two.gradient(2, 2, round=3)
-    closed = story.ask(replace(UPDATE, round=3))
-    assert [answer.vector.max() for answer in closed.answers.values()] == [1, 1]
-    assert two.heard() == ["Update (2, 3)"]
-
-
 def test_workers_that_differ_or_cannot_build_the_environment_later_on_are_sent_away():
     story = Story("w1")
     other, poor = Player("w2", story.hub).join(obs_size=OBS + 1), Player("w3", story.hub)

@@ -146,20 +146,3 @@ def test_a_stopped_worker_is_given_up_and_rejoins(harness, undisturbed):
     stalled.send(signal.SIGCONT)
     assert learner.wait() == 0, learner.text
     assert result(run_dir)["parameters_sha256"] == undisturbed
-
-
-def test_late_gradients_are_dropped_and_accounted_for(harness):
-    """W = 8, D = 4, two workers of four slots: one of them is stopped and never waited for."""
-    address, run_dir = free_address(), harness.folder / "run"
-    late, _ = harness.worker(address, "--name", "a"), harness.worker(address, "--name", "b")
-    learner = harness.learner(
-        *RUN, "--drop", "4", "--local-workers", "0", "--listen", address, run_dir=run_dir
-    )
-    wait_until(lambda: iterations(run_dir) >= 2, "two iterations")
-    late.send(signal.SIGSTOP)
-    wait_until(lambda: (run_dir / "ledger.jsonl").read_text() != "", "a dropped gradient")
-    late.send(signal.SIGCONT)
-    assert learner.wait() == 0, learner.text
-    ledger = [json.loads(line) for line in (run_dir / "ledger.jsonl").read_text().splitlines()]
-    assert all(0 < len(line["dropped"]) <= 4 for line in ledger)
-    assert result(run_dir)["dropped_gradients"] == sum(len(line["dropped"]) for line in ledger)

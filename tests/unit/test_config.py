@@ -35,6 +35,7 @@ REFUSED = [
     (RolloutConfig, {"num_envs": 0}, "--num-envs is 0, expected >= 1"),
     (RolloutConfig, {"num_steps": 0}, "--num-steps is 0, expected >= 1"),
     (RolloutConfig, {"drop": 8}, "--drop is 8, expected 0 <= drop < slots = 8: an update needs"),
+    (RolloutConfig, {"drop_limit": 0}, "--drop-limit is 0, expected >= 1"),
     (RolloutConfig, {"drop": -1}, "--drop is -1, expected 0 <= drop < slots = 8"),
     (RolloutConfig, {"window": -1}, "--window is -1, expected >= 0"),
     (

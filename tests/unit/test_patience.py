@@ -40,6 +40,11 @@ def test_only_the_newest_durations_count():
     assert patience.limit == 2
 
 
+def test_the_window_may_be_longer():
+    patience = noted(*[100.0] * WINDOW, *[2.0] * (WINDOW - 1), window=2 * WINDOW)
+    assert patience.limit == 100
+
+
 def test_each_doubling_doubles_and_calm_undoes_them():
     patience = noted(*[2.0] * 10)
     patience.double()
