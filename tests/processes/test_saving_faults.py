@@ -27,11 +27,6 @@ from dppo.store.run_directory import RunDirectory
 from tests.faulty_disk import WAYS, FaultyDisk, interrupted
 from tests.support import ROOT
 
-ERRORS = [pytest.param(way, 28, id=way) for way in WAYS] + [
-    pytest.param("fails on", 5, id="EIO"), pytest.param("fails on", 30, id="EROFS"),
-    pytest.param("fails once", 122, id="EDQUOT"),
-]  # fmt: skip
-
 
 @pytest.fixture(autouse=True)
 def unflushed(monkeypatch):
@@ -106,8 +101,17 @@ BEFORE = {
 }
 
 
-@pytest.mark.parametrize(("way", "errno"), ERRORS)
-@pytest.mark.parametrize("before", BEFORE, ids=lambda before: before.__name__)
+CASES = [(before, way, 28) for before in BEFORE for way in WAYS] + [
+    (one_checkpoint, "fails on", 5), (one_checkpoint, "fails on", 30),
+    (one_checkpoint, "fails once", 122),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("before", "way", "errno"),
+    CASES,
+    ids=[f"{before.__name__}, {way}, {errno}" for before, way, errno in CASES],
+)
 def test_the_old_or_the_new_one_loads_and_the_next_save_works(tmp_path, before, way, errno):
     folder, found = tmp_path / "checkpoints", set()
 
