@@ -142,7 +142,7 @@ def test_a_run_that_fails_each_time_uses_up_its_restarts_and_ends_as_the_learner
         "--checkpoint-every", "1", "--resume", "never", run_dir=harness.folder / "run",
     )  # fmt: skip
     assert supervisor.wait() == 1, supervisor.text
-    assert supervisor.text.count("the arm fell off") == 2
+    assert supervisor.text.count("error: slot ") == 2, supervisor.text
     assert "restart 1 of 1, 0 left" in supervisor.text
     assert "no restart is left of --restarts 1" in supervisor.text
 
