@@ -50,13 +50,13 @@ class Deadlines:
         deadlines.close(round, now=10.2)
     """
 
-    def __init__(self, slots: int, drop_limit: int) -> None:
-        """With a `drop_limit` of 0 no slot is ever dropped."""
+    def __init__(self, slots: int, drop_limit: int, first: float = _FIRST_SECONDS) -> None:
+        """With a `drop_limit` of 0 no slot is ever dropped; `first`: see `Patience`."""
         self._drop_limit = drop_limit
         self.running = dict.fromkeys(range(slots), 0)
         """Slot to the number of updates running that went on without it."""
         self._patience = Patience(
-            first=_FIRST_SECONDS,
+            first=first,
             least=_LEAST_SECONDS,
             window=max(WINDOW, _WINDOW_UPDATES * slots),
         )

@@ -26,12 +26,10 @@ from dppo.wire.messages import (
     Failure,
     Gradient,
     Hello,
-    Measure,
     Measured,
     Ready,
     Stop,
     Task,
-    Update,
     Welcome,
 )
 from learner.members import Members, listed
@@ -45,7 +43,6 @@ _TICK = 0.25
 _REMARK_SECONDS = 10.0
 _AT_FIRST = 10.0
 """So many times as patient before it is known how long this run's steps take."""
-_ANSWER_TO = {Collect: Collected, Update: Gradient, Measure: Measured}
 
 
 class Exchange:
@@ -203,16 +200,16 @@ class Exchange:
         if not aligned or not self._members.hear(answer.worker):
             return
         round_id = RoundId(answer.generation, answer.iteration, answer.round)
-        self._questions.settle(answer, round_id)
+        was_owed = self._questions.settle(answer, round_id)
         self._deadlines.answered(round_id, (first, size), self._clock())
         if isinstance(answer, Collected):
             self._note_exactness(answer)
         round_, task = self._questions.round, self._questions.task
-        if round_ is None or round_id != round_.id or task is None:
+        if round_ is None or round_id != round_.id or task is None or not was_owed:
             return
         if isinstance(task, Collect) and not self._questions.owes(answer.worker):
             self._members.pace.end(answer.worker, self._clock())
-        if isinstance(answer, _ANSWER_TO[type(task)]) and self._is_sound(answer, round_id):
+        if self._is_sound(answer, round_id):
             round_.offer(round_id, (first, size), answer)
 
     def _note_exactness(self, answer: Collected) -> None:

@@ -9,8 +9,22 @@ from dataclasses import dataclass, replace
 from dppo.leases import Leases
 from dppo.rounds import Round, RoundId
 from dppo.wire.links import LearnerLink
-from dppo.wire.messages import Answer, Collect, Collected, Restore, Task
+from dppo.wire.messages import (
+    Answer,
+    Collect,
+    Collected,
+    Gradient,
+    Measure,
+    Measured,
+    Restore,
+    Task,
+    Update,
+)
 from learner.soundness import block_of
+
+_ANSWER_TO: dict[type[Task], type[Answer]] = {
+    Collect: Collected, Update: Gradient, Measure: Measured
+}  # fmt: skip
 
 
 @dataclass(slots=True)
@@ -18,6 +32,7 @@ class _Owed:
     """The newest question a worker has been asked, and the slots it still owes answers for."""
 
     id: RoundId
+    kind: type[Answer]
     slots: set[int]
 
 
@@ -73,7 +88,8 @@ class Questions:
         self._bring_up_to_date(worker, wanted)
         self._link.send(worker, replace(self.task, slots=wanted))
         before = owed.slots if owed is not None else set()
-        self._owed[worker] = _Owed(self.round.id, before | set(wanted))
+        kind = _ANSWER_TO[type(self.task)]
+        self._owed[worker] = _Owed(self.round.id, kind, before | set(wanted))
 
     def _bring_up_to_date(self, worker: str, slots: tuple[int, ...]) -> None:
         """Before the present question: what the worker lacks of `slots`."""
@@ -94,19 +110,22 @@ class Questions:
         if lacking and not isinstance(self.task, Collect):
             self._link.send(worker, replace(collect, slots=lacking))
 
-    def settle(self, answer: Answer, round_id: RoundId) -> None:
-        """Note what an answer says about its sender, whether or not it still counts."""
+    def settle(self, answer: Answer, round_id: RoundId) -> bool:
+        """Note what an answer says about its sender; was it asked for, and is it the first one?"""
         if isinstance(answer, Collected) and self._is_present(answer):
             self._leases.mark_current(answer.slot, answer.worker)
         owed = self._owed.get(answer.worker)
-        if owed is None or owed.id != round_id:
-            return
         first, size = block_of(answer)
-        owed.slots.difference_update(range(first, first + min(size, self._leases.num_slots)))
+        slots = set(range(first, first + min(size, self._leases.num_slots + 1)))
+        if owed is None or owed.id != round_id or not slots <= owed.slots:
+            return False
+        if not isinstance(answer, owed.kind):
+            return False
+        owed.slots -= slots
         late = self.round is not None and owed.id != self.round.id
         if late and not owed.slots and answer.worker in self._leases.workers:
-            del self._owed[answer.worker]
             self.ask(answer.worker, self._leases.slots_of(answer.worker))
+        return True
 
     def _is_present(self, answer: Collected) -> bool:
         """Was it collected in the present iteration?"""

@@ -172,19 +172,23 @@ def test_a_gradient_that_is_wild_on_two_workers_is_no_fault_of_theirs_and_counts
 
 def test_a_worker_that_is_refused_three_times_is_benched():
     story, liar, honest = two_that_have_collected()
-    for update in (1, 2, 3):
-        liar.gradient(0, 2, round=update, vector=NAN)
-        honest.gradient(2, 2, round=update)
-        honest.collected(0, 1)
-        honest.gradient(0, 2, round=update)
-        story.ask(replace(UPDATE, round=update))
+    lied, kept = (0, 2), (2, 2)
+    for iteration in (1, 3, 5):
+        liar.gradient(*lied, iteration=iteration, vector=NAN)
+        honest.gradient(*kept, iteration=iteration)
+        honest.collected(lied[0], lied[0] + 1, iteration=iteration)
+        honest.gradient(*lied, iteration=iteration)
+        story.ask(replace(UPDATE, iteration=iteration))
         assert liar.heard()[-1] == "Stop"
-        if update < 3:
+        if iteration < 5:
             assert not liar.last.final
             liar.join()
-            story.exchange.begin_iteration(COLLECT, {0: b"", 1: b"", 2: b"", 3: b""})
-            honest.collected(2, 3)
-            liar.collected(0, 1)
+            honest.collected(*ALL, iteration=iteration + 1)
+            story.collect(replace(COLLECT, iteration=iteration + 1))
+            honest.collected(0, 1, iteration=iteration + 2)
+            liar.collected(2, 3, iteration=iteration + 2)
+            story.collect(replace(COLLECT, iteration=iteration + 2))
+            lied, kept = (2, 2), (0, 2)  # it comes after the honest one now
     assert liar.last.final
     assert "again and again" in liar.last.reason
 
