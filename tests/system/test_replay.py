@@ -131,6 +131,13 @@ def test_a_run_without_drops_that_was_paused_and_resumed_is_replayed(harness):
     assert again.wait() == 2
     assert f"{run_dir / 'replay'} holds a run already; remove it" in again.text
 
+    config = run_dir / "config.json"
+    config.write_text(config.read_text().replace('"obs_size": 4', '"obs_size": 5'))
+    out = str(harness.folder / "elsewhere")
+    other = harness.start("dppo", "replay", str(run_dir), "--out", out, "--local-workers", "1")
+    assert other.wait() == 2, other.text
+    assert f"{run_dir} was trained on another environment" in other.text
+
     ledger = run_dir / "ledger.jsonl"
     ledger.write_text(ledger.read_text().replace("parameters", "paramours"))
     out = str(harness.folder / "out")
