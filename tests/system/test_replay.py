@@ -8,7 +8,7 @@ import pytest
 
 from dppo.store.ledger import IterationLine, LateLine, UpdateLine, read_ledger, to_json
 from learner.local import free_address
-from tests.support import SMALL, Harness, iterations, result, wait_until
+from tests.support import DEADLINE, SMALL, Harness, iterations, result, wait_until
 
 TINY = ("--env", "CartPole-v1", *SMALL)
 DROPPING = (*TINY, "--update-epochs", "8", "--num-minibatches", "4", "--drop", "2",
@@ -25,8 +25,9 @@ def drops(run_dir):
 def stop_now_and_then(worker, run_dir, times):
     """Stop and continue a worker until so many of its stops have cost it an update."""
     for _ in range(times):
-        before = drops(run_dir)
+        before, last = drops(run_dir), time.monotonic() + DEADLINE
         while drops(run_dir) == before:
+            assert time.monotonic() < last, "no update went on without the stopped worker"
             worker.send(signal.SIGSTOP)
             until = time.monotonic() + 0.3  # in a collection it is waited for: then try again
             while drops(run_dir) == before and time.monotonic() < until:
@@ -44,6 +45,8 @@ def dropped(tmp_path_factory):
     learner = harness.learner(*command, run_dir=run_dir)
     wait_until(lambda: iterations(run_dir) >= 3, "three iterations")
     stop_now_and_then(workers[0], run_dir, times=3)
+    begun = iterations(run_dir)  # the one under way would be given up, and its drops with it
+    wait_until(lambda: iterations(run_dir) > begun, "the iteration of the last drop to finish")
     learner.send(signal.SIGTERM)
     assert learner.wait() == 0, learner.text
     steps = (iterations(run_dir) + 20) * SAMPLES
