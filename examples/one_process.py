@@ -22,6 +22,7 @@ from dppo.wire.messages import Welcome
 from learner.chief import Chief
 from learner.exchange import Exchange
 from learner.ledger import Ledger
+from learner.soundness import Expected
 from learner.state import State
 from workers.envs import quiet
 from workers.membership import Member
@@ -42,9 +43,10 @@ def main(num_workers: int) -> None:
 
     welcome = Welcome(run="example", generation=1, config=json.dumps(CONFIG.to_dict()))
     leases = Leases(CONFIG.rollout.slots)
-    exchange = Exchange(hub.learner(), welcome, leases, lambda: None, lambda: networks.size)
+    exchange = Exchange(hub.learner(), welcome, leases, lambda: None)
     spaces = exchange.wait_for_environment()  # a worker built it; the chief never sees it
     networks = Networks.build(spaces, CONFIG)
+    exchange.expected = Expected(spaces, networks.size, CONFIG.rollout.samples_per_slot)
     state = State.initial(networks, spaces.obs_size, CONFIG)
     chief = Chief(state, networks, CONFIG, 1, exchange, Ledger(CONFIG.rollout, lambda _: None))
     while chief.state.iteration < CONFIG.iterations:

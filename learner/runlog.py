@@ -7,17 +7,18 @@ again are cut off, so every iteration has one line. Nothing here waits for the d
 import csv
 import io
 import json
+import logging
 import os
 import socket
 import time
 from pathlib import Path
 from typing import Any
 
-from dppo.errors import UsageError
 from dppo.store.ledger import Line, from_values, to_json
 from learner.disk import Disk, GrowingFile
 from learner.report import IterationReport
 
+log = logging.getLogger("learner")
 _COLUMNS = (
     "rollout/ep_rew_mean", "rollout/ep_len_mean", "charts/episodic_return", "charts/SPS",
     "train/kl", "train/kl_coef", "train/policy_updates", "train/policy_loss", "train/value_loss",
@@ -36,20 +37,13 @@ class RunLog:
     """The metric files of one run."""
 
     def __init__(self, folder: Path, iteration: int, disk: Disk) -> None:
-        """Take up the files of a run that stands at the start of `iteration`.
-
-        Raises:
-            UsageError: the ledger has a line that is none.
-        """
+        """Take up the files of a run that stands at the start of `iteration`."""
         self._disk = disk
         self._metrics, rows = _taken_up(folder, "metrics.jsonl", iteration, disk)
         # the iteration under way notes what was dropped, counted from 0
         self._ledger, noted = _taken_up(folder, "ledger.jsonl", iteration - 1, disk)
-        try:
-            self.noted = [from_values(row) for row in noted]
-            """The ledger's lines so far."""
-        except ValueError as error:
-            raise UsageError(f"{folder / 'ledger.jsonl'} is no ledger: {error}") from error
+        self.noted = _lines(noted)
+        """The ledger's lines so far."""
         self._table = disk.file("progress.csv", 0)
         self._table.write(_cells([*_HEADER]) + b"".join(map(_row, rows)))
         self._board: Any = None
@@ -129,6 +123,17 @@ def _parsed(line: bytes) -> dict[str, Any] | None:
         return None
     whole = isinstance(row, dict) and isinstance(row.get("iteration"), int)
     return row if whole else None
+
+
+def _lines(rows: list[dict[str, Any]]) -> list[Line]:
+    """The lines of a ledger; one that is damaged or of an older version must not end the run."""
+    lines = []
+    for row in rows:
+        try:
+            lines.append(from_values(row))
+        except ValueError as error:
+            log.warning("left out of the accounts of dropping, a line of ledger.jsonl: %s", error)
+    return lines
 
 
 def _line(row: dict[str, Any]) -> bytes:

@@ -102,9 +102,19 @@ def test_a_resumed_run_cuts_its_ledger_to_the_iterations_that_count(tmp_path):
     file = tmp_path / "ledger.jsonl"
     file.write_text("".join(to_json(line) + "\n" for line in lines) + '{"iter')
     log = RunLog(tmp_path, 2, Disk(tmp_path, "the run's logs"))  # iterations 0 and 1 are done
+    assert log.noted == lines[:6]
     log.note(replace(DONE, iteration=2))
     log.close()
     assert read_ledger(file) == [*lines[:6], replace(DONE, iteration=2)]
+
+
+def test_a_damaged_line_does_not_keep_a_run_from_going_on(tmp_path, caplog):
+    torn = to_json(UPDATE).replace("dropped", "dripped")
+    (tmp_path / "ledger.jsonl").write_text(f"{torn}\n{to_json(DONE)}\n")
+    log = RunLog(tmp_path, 5, Disk(tmp_path, "the run's logs"))
+    log.close()
+    assert log.noted == [DONE]
+    assert "left out of the accounts of dropping, a line of ledger.jsonl: found" in caplog.text
 
 
 def test_each_update_leaves_a_line_with_its_drops_and_its_hash():

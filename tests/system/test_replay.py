@@ -8,7 +8,7 @@ import pytest
 
 from dppo.store.ledger import IterationLine, LateLine, UpdateLine, read_ledger, to_json
 from learner.local import free_address
-from tests.support import SMALL, Harness, iterations, result, wait_until
+from tests.support import DEADLINE, SMALL, Harness, iterations, result, wait_until
 
 TINY = ("--env", "CartPole-v1", *SMALL)
 DROPPING = (*TINY, "--update-epochs", "8", "--num-minibatches", "4", "--drop", "2",
@@ -25,8 +25,9 @@ def drops(run_dir):
 def stop_now_and_then(worker, run_dir, times):
     """Stop and continue a worker until so many of its stops have cost it an update."""
     for _ in range(times):
-        before = drops(run_dir)
+        before, last = drops(run_dir), time.monotonic() + DEADLINE
         while drops(run_dir) == before:
+            assert time.monotonic() < last, "no update went on without the stopped worker"
             worker.send(signal.SIGSTOP)
             until = time.monotonic() + 0.3  # in a collection it is waited for: then try again
             while drops(run_dir) == before and time.monotonic() < until:
@@ -44,6 +45,8 @@ def dropped(tmp_path_factory):
     learner = harness.learner(*command, run_dir=run_dir)
     wait_until(lambda: iterations(run_dir) >= 3, "three iterations")
     stop_now_and_then(workers[0], run_dir, times=3)
+    begun = iterations(run_dir)  # the one under way would be given up, and its drops with it
+    wait_until(lambda: iterations(run_dir) > begun, "the iteration of the last drop to finish")
     learner.send(signal.SIGTERM)
     assert learner.wait() == 0, learner.text
     steps = (iterations(run_dir) + 20) * SAMPLES
@@ -130,6 +133,13 @@ def test_a_run_without_drops_that_was_paused_and_resumed_is_replayed(harness):
     again = harness.start("dppo", "replay", str(run_dir))
     assert again.wait() == 2
     assert f"{run_dir / 'replay'} holds a run already; remove it" in again.text
+
+    config = run_dir / "config.json"
+    config.write_text(config.read_text().replace('"obs_size": 4', '"obs_size": 5'))
+    out = str(harness.folder / "elsewhere")
+    other = harness.start("dppo", "replay", str(run_dir), "--out", out, "--local-workers", "1")
+    assert other.wait() == 2, other.text
+    assert f"{run_dir} was trained on another environment" in other.text
 
     ledger = run_dir / "ledger.jsonl"
     ledger.write_text(ledger.read_text().replace("parameters", "paramours"))
