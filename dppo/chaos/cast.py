@@ -62,6 +62,8 @@ class Cast:
         self._undo: list[tuple[float, Callable[[], None]]] = []
         self._stopped: list[Handle] = []
         self._spawned = 0
+        self._started: list[Child] = []
+        """All that ever were, to be waited for."""
         self._asked = False
         """The learner's end was ordered: it is started again."""
         self.learner = self._start_learner()
@@ -129,9 +131,11 @@ class Cast:
         return children_of(self.learner.pid)
 
     def close(self) -> None:
-        """The links; processes are ended by who started them all."""
+        """The links, and what is left of processes that have ended."""
         for external in self.externals.values():
             external.proxy.close()
+        for child in self._started:
+            child.popen.wait()
 
     def _disturb_link(self, fault: Fault, now: float) -> str:
         external = self.externals[fault.target]
@@ -226,12 +230,18 @@ class Cast:
             "--listen", f"tcp/127.0.0.1:{self.port}",
             "--local-workers", str(self._setup.local_workers),
         ]  # fmt: skip
-        return Child.start("learner", words, self._folder, self._mark)
+        return self._start("learner", words)
 
     def _start_worker(self, name: str, proxy: Proxy) -> Child:
         self._spawned += 1  # a name is new for each process
         words = ["workers", "--connect", proxy.address, "--name", f"{name}-{self._spawned}"]
-        return Child.start(name, words, self._folder, self._mark)
+        return self._start(name, words)
+
+    def _start(self, name: str, words: list[str]) -> Child:
+        child = Child.start(name, words, self._folder, self._mark)
+        self._started = [one for one in self._started if one.running]
+        self._started.append(child)
+        return child
 
 
 def _free_port() -> int:

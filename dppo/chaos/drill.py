@@ -28,7 +28,7 @@ from dppo.errors import RunFailedError
 
 _LOOK_SECONDS = 0.01
 _SAMPLE_SECONDS = 1.0
-_END_SECONDS = 5.0
+_END_SECONDS = 3.0
 """How long everybody has to end once the run is over, and again once told to."""
 _PAUSE_SECONDS = 30.0
 """How long a learner has to end when it is told to."""
