@@ -14,7 +14,7 @@ from dppo.chaos.plan import Fault, Plan
 from tests.support import SMALL
 
 pytestmark = pytest.mark.slow
-FLAGS = ("--env", "Hopper-v5", *SMALL, "--verbose")
+FLAGS = ("--env", "Hopper-v5", *SMALL, "--hidden-sizes", "32", "32", "--verbose")
 PATIENCE = 60.0
 THE_WHOLE_RUN = 600.0
 
@@ -66,13 +66,13 @@ def test_a_partition_shorter_than_the_lease_costs_time_only(tmp_path):
 
 @pytest.mark.parametrize("kind", ["loss", "slow", "delay"])
 def test_a_bad_link_for_the_whole_run_costs_time_only(tmp_path, kind):
-    Case(tmp_path, 8).costs_no_bits(
+    Case(tmp_path, 6).costs_no_bits(
         *(Fault(1, kind, worker, THE_WHOLE_RUN) for worker in ("w0", "w1"))
     )
 
 
 def test_a_slow_late_and_lossy_link_at_once_costs_time_only(tmp_path):
-    Case(tmp_path, 8).costs_no_bits(
+    Case(tmp_path, 6).costs_no_bits(
         *(Fault(1, kind, "w0", THE_WHOLE_RUN) for kind in ("loss", "slow", "delay"))
     )
 
