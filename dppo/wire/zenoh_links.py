@@ -148,7 +148,12 @@ class _End:
         self._sending = threading.Lock()
         self._kept: list[object] = []  # an entity is undeclared when nobody refers to it
 
-    def _subscribe(self, key: str) -> None:
+    def _subscribe(self, key: str, broken: Callable[[str], WorkerLost | LearnerLost]) -> None:
+        """Take what arrives; what is damaged breaks the connection that `broken` names.
+
+        What was asked or answered in it would else be waited for until patience ends.
+        """
+
         def arrived(sample: zenoh.Sample) -> None:
             attachment = sample.attachment
             header = attachment.to_bytes() if attachment is not None else b""
@@ -156,6 +161,7 @@ class _End:
                 self._inbox.put(unsealed(header, sample.payload.to_bytes()))
             except WireError as error:
                 self._inbox.put(Refused(str(error)))
+                self._inbox.put(broken(str(sample.key_expr).rsplit("/", 1)[1]))
             self._ring()
 
         handler = zenoh.handlers.Callback(arrived, indirect=False)
@@ -204,7 +210,7 @@ class ZenohLearnerLink(_End):
     def __init__(self, address: str, ring: Callable[[], None] = lambda: None) -> None:
         """`ring` is called, in another thread, when there is something to receive."""
         super().__init__(open_listening(address), ring)
-        self._subscribe(f"{BASE}/g/*")
+        self._subscribe(f"{BASE}/g/*", WorkerLost)
         self._watch(f"{BASE}/live/w/*", None)
         self._live(f"{BASE}/live/learner")  # last: whoever sees it may talk
 
@@ -245,7 +251,7 @@ class ZenohWorkerLink(_End):
         self._declare()
 
     def _declare(self) -> None:
-        self._subscribe(f"{BASE}/p/{self._name}")
+        self._subscribe(f"{BASE}/p/{self._name}", lambda _name: LearnerLost())
         self._watch(f"{BASE}/live/learner", LearnerLost)
         self._live(f"{BASE}/live/w/{self._name}")
 
