@@ -71,7 +71,8 @@ class Cast:
             self._join(f"w{index}")
 
     def is_over(self) -> bool:
-        """The learner has finished the run. One that was told to end is started again.
+        """The learner has finished the run, or as much as it should. One that was told to end is
+        started again.
 
         Raises:
             RunFailedError: it has ended unasked, before the run was finished.
@@ -81,6 +82,8 @@ class Cast:
         if read_result(self.run_dir).get("status") == "finished":
             return True
         if not self._asked:
+            if self.learner.popen.returncode == 0:  # --stop-at
+                return True
             raise RunFailedError(
                 f"the learner ended with exit code {self.learner.popen.returncode}, unasked; it "
                 f"said: {self.learner.last_words()}"

@@ -82,6 +82,12 @@ def test_a_learner_that_fails_by_itself_is_not_started_again(tmp_path):
     assert outcome.left_behind == []
 
 
+def test_a_run_with_an_end_of_its_own_is_over_there(tmp_path):
+    outcome = drilled(tmp_path / "drill", Plan(()), flags=(*FLAGS, "--stop-at", str(10 * 8 * 64)))
+    assert (outcome.problem, outcome.status, outcome.iterations) == ("", "stopped", 10)
+    assert outcome.left_behind == []
+
+
 def test_a_soak_ends_in_time_with_a_run_that_can_be_continued(tmp_path):
     endless = (Fault(1, "kill-worker", f"w{turn % 2}") for turn in range(10**6))
     flags = (*FLAGS, "--total-timesteps", str(10**9))

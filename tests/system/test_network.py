@@ -47,9 +47,9 @@ def test_a_partitioned_worker_is_given_up_and_comes_back(tmp_path, kind):
     log = Case(tmp_path, 100).costs_no_bits(
         Fault(3, kind, "w0", 3.0), Fault(60, "stop-worker", "w1")
     )
-    left = re.search(r"worker w0-\d+ left", log)
+    left = re.search(r"worker w0-\S+ left", log)
     assert left is not None
-    assert re.search(r"worker w0-\d+ joined", log[left.end() :])
+    assert re.search(r"worker w0-\S+ joined", log[left.end() :])
 
 
 def test_a_partition_of_all_workers_stops_the_run_and_no_longer_than_it_lasts(tmp_path):
@@ -61,7 +61,7 @@ def test_a_partition_of_all_workers_stops_the_run_and_no_longer_than_it_lasts(tm
 
 def test_a_partition_shorter_than_the_lease_costs_time_only(tmp_path):
     log = Case(tmp_path, 40).costs_no_bits(Fault(3, "partition", "w0", 0.5))
-    assert not re.search(r"worker w0-\d+ left", log)
+    assert not re.search(r"worker w0-\S+ left", log)
 
 
 @pytest.mark.parametrize("kind", ["loss", "slow", "delay"])
@@ -80,7 +80,7 @@ def test_a_slow_late_and_lossy_link_at_once_costs_time_only(tmp_path):
 def test_connections_that_break_again_and_again_are_made_again(tmp_path):
     breaks = [Fault(at, "disconnect", "w0") for at in range(3, 60, 20)]
     log = Case(tmp_path, 100).costs_no_bits(*breaks, Fault(80, "stop-worker", "w1"))
-    assert len(re.findall(r"worker w0-\d+ joined", log)) >= 2
+    assert len(re.findall(r"worker w0-\S+ joined", log)) >= 2
 
 
 def test_a_learner_that_comes_back_on_the_far_side_of_a_partition_finds_its_workers(tmp_path):
@@ -96,4 +96,4 @@ def test_bits_that_turn_over_on_the_way_never_reach_the_parameters(tmp_path, kin
     log = Case(tmp_path, 60).costs_no_bits(
         Fault(3, kind, "w0", 3.0), Fault(40, "stop-worker", "w1", 10.0)
     )
-    assert re.search(r"worker w0-\d+ left", log)
+    assert re.search(r"worker w0-\S+ left", log)
