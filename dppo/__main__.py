@@ -1,4 +1,4 @@
-"""`dppo`: looks at what a run has left, runs it again, and at the machine; Four Rooms.
+"""`dppo`: looks at what runs leave, replays and disturbs them; measures the machine; Four Rooms.
 
 Training is `dppo-learner`.
 """
@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from dppo.store.checkpoint import Checkpoint
 
 _USAGE = (
-    "usage: dppo {eval,checkpoint,replay} RUN [options], or dppo {four-rooms,bench} [options]; "
-    "--help after one of these says more"
+    "usage: dppo {eval,checkpoint,replay} RUN [options], or dppo {four-rooms,bench,chaos} "
+    "[options]; --help after one of these says more"
 )
 
 
@@ -114,12 +114,18 @@ def _command(words: list[str]) -> int:
             return run(parse(FourRoomsArgs, rest, "dppo four-rooms"))
         case ["bench", *rest]:
             return _bench(parse(BenchArgs, rest, "dppo bench"))
+        case ["chaos", *rest]:
+            from dppo.chaos import command as chaos
+
+            own, learner_flags = chaos.split(rest)
+            return chaos.run(parse(chaos.ChaosArgs, own, "dppo chaos"), learner_flags)
         case ["-h" | "--help", *_]:
             print(f"{_USAGE}\n\n{__doc__}")
             return 0
     found = words[0] if words else "nothing"
     print(
-        f"error: found {found}, expected eval, checkpoint, replay, four-rooms or bench\n{_USAGE}",
+        f"error: found {found}, expected eval, checkpoint, replay, four-rooms, bench or chaos\n"
+        f"{_USAGE}",
         file=sys.stderr,
     )
     return 2

@@ -61,6 +61,8 @@ def _serve_parent(args: _ChildArgs) -> int:
 
 
 def _work(args: WorkerArgs) -> int:
+    from functools import partial
+
     from dppo.errors import UsageError
     from dppo.wire.zenoh_links import ZenohWorkerLink, open_connecting
     from workers.envs import quiet
@@ -69,9 +71,11 @@ def _work(args: WorkerArgs) -> int:
     name = _unique_name(args.name)
     quiet()
 
+    reopen = partial(open_connecting, args.connect)
+
     def connect() -> ZenohWorkerLink | None:
-        session = open_connecting(args.connect)
-        return None if session is None else ZenohWorkerLink(session, name)
+        session = reopen()
+        return None if session is None else ZenohWorkerLink(session, name, reopen)
 
     try:
         link = wait_for(connect, args.connect, args.wait_seconds)

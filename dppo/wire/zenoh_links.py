@@ -18,6 +18,7 @@ import os
 import queue
 import re
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -30,10 +31,12 @@ from dppo.errors import UsageError, WireError
 from dppo.wire.codec import encode, sealed, unsealed
 from dppo.wire.inbox import Inbox, next_event
 from dppo.wire.links import LearnerLost, Refused, WorkerLost
-from dppo.wire.messages import ToLearner, ToWorker
+from dppo.wire.messages import Hello, ToLearner, ToWorker
 
 BASE = "dppo/v1"
 _CLOSE_SECONDS = 3.0
+_DEAF_SECONDS = 5.0
+"""A worker that has said Hello for so long and heard nothing opens a session anew."""
 
 
 def _config(mode: str, endpoints: dict[str, Any]) -> zenoh.Config:
@@ -145,7 +148,12 @@ class _End:
         self._sending = threading.Lock()
         self._kept: list[object] = []  # an entity is undeclared when nobody refers to it
 
-    def _subscribe(self, key: str) -> None:
+    def _subscribe(self, key: str, broken: Callable[[str], WorkerLost | LearnerLost]) -> None:
+        """Take what arrives; what is damaged breaks the connection that `broken` names.
+
+        What was asked or answered in it would else be waited for until patience ends.
+        """
+
         def arrived(sample: zenoh.Sample) -> None:
             attachment = sample.attachment
             header = attachment.to_bytes() if attachment is not None else b""
@@ -153,6 +161,7 @@ class _End:
                 self._inbox.put(unsealed(header, sample.payload.to_bytes()))
             except WireError as error:
                 self._inbox.put(Refused(str(error)))
+                self._inbox.put(broken(str(sample.key_expr).rsplit("/", 1)[1]))
             self._ring()
 
         handler = zenoh.handlers.Callback(arrived, indirect=False)
@@ -201,7 +210,7 @@ class ZenohLearnerLink(_End):
     def __init__(self, address: str, ring: Callable[[], None] = lambda: None) -> None:
         """`ring` is called, in another thread, when there is something to receive."""
         super().__init__(open_listening(address), ring)
-        self._subscribe(f"{BASE}/g/*")
+        self._subscribe(f"{BASE}/g/*", WorkerLost)
         self._watch(f"{BASE}/live/w/*", None)
         self._live(f"{BASE}/live/learner")  # last: whoever sees it may talk
 
@@ -222,20 +231,50 @@ class ZenohLearnerLink(_End):
 
 
 class ZenohWorkerLink(_End):
-    """A `WorkerLink`; `name` must be a key segment: letters, digits, `-`."""
+    """A `WorkerLink`; `name` must be a key segment: letters, digits, `-`.
 
-    def __init__(self, session: zenoh.Session, name: str) -> None:
+    What it tells the learner's session about itself is said once per connection. Was that damaged
+    on the way, it is deaf for good, and nothing but another session helps.
+    """
+
+    def __init__(
+        self,
+        session: zenoh.Session,
+        name: str,
+        reopen: Callable[[], zenoh.Session | None] = lambda: None,
+    ) -> None:
+        """`reopen` opens another session to the same learner; None: not now."""
         super().__init__(session, lambda: None)
+        self._name, self._reopen = name, reopen
         self._key = f"{BASE}/g/{name}"
-        self._subscribe(f"{BASE}/p/{name}")
+        self._heard = time.monotonic()
+        self._declare()
+
+    def _declare(self) -> None:
+        self._subscribe(f"{BASE}/p/{self._name}", lambda _name: LearnerLost())
         self._watch(f"{BASE}/live/learner", LearnerLost)
-        self._live(f"{BASE}/live/w/{name}")
+        self._live(f"{BASE}/live/w/{self._name}")
 
     def receive(self, timeout: float) -> ToWorker | LearnerLost | Refused | None:
         """See `WorkerLink`."""
         item: ToWorker | LearnerLost | Refused | None = next_event(self._inbox, timeout)
+        if item is not None:
+            self._heard = time.monotonic()
         return item
 
     def send(self, message: ToLearner) -> None:
         """See `WorkerLink`."""
+        if isinstance(message, Hello) and time.monotonic() - self._heard > _DEAF_SECONDS:
+            self._renew()
         self._put(self._key, message)
+
+    def _renew(self) -> None:
+        """Another session, if there is somebody to open it with."""
+        session = self._reopen()
+        if session is not None:
+            self.close()
+            self._session = session
+            self._publishers.clear()
+            self._kept.clear()
+            self._declare()
+        self._heard = time.monotonic()

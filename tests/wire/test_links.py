@@ -218,6 +218,34 @@ def test_garbage_for_a_worker_arrives_as_refused(wire):
     assert re.search("a header is not|do not match their checksum", refused.reason)
 
 
+def test_what_is_damaged_on_the_network_breaks_the_connection_it_came_by():
+    network = Network()
+    worker = met(network, "w1")
+    network.junk("g/w1")
+    assert until(network.learner, lambda e: isinstance(e, WorkerLost)) == WorkerLost("w1")
+    network.junk("p/w1")
+    assert until(worker, lambda e: isinstance(e, LearnerLost)) == LearnerLost()
+    network.close()
+
+
+def test_a_worker_that_says_hello_and_hears_nothing_opens_another_session():
+    network, opened = Network(), []
+
+    def reopen():
+        opened.append(network.session())
+        return opened[-1]
+
+    link = ZenohWorkerLink(network.session(), "w1", reopen)
+    link._heard -= 60.0  # nothing was heard for a minute
+    link.send(hello("w1"))
+    assert len(opened) == 1
+    until(network.learner, lambda e: e == hello("w1", 2), lambda: link.send(hello("w1", 2)))
+    until(link, lambda e: e == WELCOME, lambda: network.learner.send("w1", WELCOME))
+    assert len(opened) == 1
+    link.close()
+    network.close()
+
+
 def test_a_link_works_on_after_garbage(wire):
     worker = met(wire, "w1")
     wire.junk("g/x")
