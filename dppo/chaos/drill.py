@@ -182,6 +182,7 @@ class Drill:
             external.child.popen.send_signal(signal.SIGTERM)
         if self._outcome.problem:
             cast.learner.popen.kill()
+            cast.learner.popen.wait()  # for all its threads: the last one lets go of its sockets
         for handle in wait_for_end(marked(self._mark), _END_SECONDS):
             self._outcome.left_behind.append(f"process {handle.pid}: {_command_of(handle.pid)}")
 
