@@ -1,6 +1,6 @@
 """Answers that cannot be believed. A state machine without clock or socket.
 
-An answer that is not finite, or wildly larger than what others gave, is refused and computed
+An answer that is not finite, or a million times larger than what is usual, is refused and computed
 again, elsewhere if there is somebody else. What comes out so a second time is no fault of a
 worker: it is the computation. A worker whose answers are refused again and again is benched.
 """
@@ -12,8 +12,12 @@ from statistics import median
 
 from dppo.rounds import RoundId
 
-WILD = 1000.0
-"""An answer is an outlier when it is so many times as large as the median of those before it."""
+WILD = 1e6
+"""An answer is an outlier when it is so many times as large as the median of those before it.
+
+Targets of σ and losses are squares: one fall of a policy that never falls makes them ten thousand
+times as large. What is damaged or invented is larger by far.
+"""
 BENCHED = 3
 """Refusals after which a worker is sent away."""
 _NEWEST = 255
