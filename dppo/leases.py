@@ -10,6 +10,10 @@ from dataclasses import dataclass, field
 
 _WORTH_A_MOVE = 1.2
 """Slots move for speed alone when the slowest worker would be done so many times sooner."""
+_ALIKE = 2.0
+"""A worker counts as slow when it takes so many times as long as the fastest; clocks are noisy."""
+_PATIENCE = 3
+"""Iterations running that a move has to be worth it."""
 
 
 @dataclass(slots=True)
@@ -27,6 +31,8 @@ class Leases:
     """Seconds per slot, of workers that have been measured; others count as the fastest one."""
     spread_over: tuple[str, ...] = ()
     """The workers of the last spread, if none of them has left since."""
+    worth_it: int = 0
+    """Iterations running that a move would have been worth it."""
 
     def join(self, worker: str) -> tuple[int, ...]:
         """A worker joins; the slots it takes over at once, because nobody holds them."""
@@ -34,13 +40,13 @@ class Leases:
             self.workers.append(worker)
         return self._settle()
 
-    def leave(self, worker: str) -> dict[str, tuple[int, ...]]:
-        """A worker is lost; who takes over which of its slots."""
-        if worker not in self.workers:
+    def leave(self, *gone: str) -> dict[str, tuple[int, ...]]:
+        """Workers are lost; who of those that stay takes over which of their slots."""
+        if not set(gone) & set(self.workers):
             return {}
-        self.workers.remove(worker)
+        self.workers = [worker for worker in self.workers if worker not in gone]
         self.spread_over = ()
-        lost = {slot for slot, holder in self.holder.items() if holder == worker}
+        lost = {slot for slot, holder in self.holder.items() if holder in gone}
         for slot in lost:
             del self.holder[slot]
         self.current -= lost
@@ -58,9 +64,11 @@ class Leases:
         counts = dict.fromkeys(self.workers, 0)
         for _ in range(self.num_slots):
             counts[self._soonest(counts)] += 1
-        if self.spread_over == tuple(self.workers) and not self._is_worth_it(counts):
-            return
-        self.spread_over = tuple(self.workers)
+        if self.spread_over == tuple(self.workers):
+            self.worth_it = self.worth_it + 1 if self._is_worth_it(counts) else 0
+            if self.worth_it < _PATIENCE:
+                return
+        self.spread_over, self.worth_it = tuple(self.workers), 0
         slots = iter(range(self.num_slots))
         for worker, count in counts.items():
             for slot in (next(slots) for _ in range(count)):
@@ -103,8 +111,10 @@ class Leases:
         return min(self.workers, key=lambda worker: self._end(worker, counts[worker] + 1))
 
     def _end(self, worker: str, slots: int) -> float:
-        """When a worker would be done with so many slots [s]."""
-        return slots * self.seconds.get(worker, min(self.seconds.values(), default=1.0))
+        """When a worker would be done with so many slots, in slots of the fastest worker."""
+        fastest = min(self.seconds.values(), default=1.0)
+        slowness = self.seconds.get(worker, fastest) / fastest
+        return slots * (slowness if slowness >= _ALIKE else 1.0)
 
     def _is_worth_it(self, counts: Mapping[str, int]) -> bool:
         """Would the last worker be done so much sooner that slots should move?"""

@@ -16,12 +16,14 @@ _FORGIVEN = 200
 class Pace:
     """Seconds per slot of each worker, the median of its newest collections."""
 
-    _begun: dict[str, tuple[float, int]] = field(default_factory=dict)
+    _begun: dict[str, tuple[float, tuple[int, ...]]] = field(default_factory=dict)
+    _held: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    """What each collected last; a new set of slots has to be set up first."""
     _seconds: dict[str, deque[float]] = field(default_factory=dict)
     _idle: Counter[str] = field(default_factory=Counter)
 
-    def begin(self, worker: str, slots: int, now: float) -> None:
-        """A worker is asked to collect so many slots."""
+    def begin(self, worker: str, slots: tuple[int, ...], now: float) -> None:
+        """A worker is asked to collect these slots."""
         self._begun[worker] = now, slots
 
     def end(self, worker: str, now: float) -> None:
@@ -30,7 +32,10 @@ class Pace:
             return
         then, slots = self._begun.pop(worker)
         self._idle[worker] = 0
-        seconds = max(now - then, _LEAST_SECONDS) / slots
+        before, self._held[worker] = self._held.get(worker), slots
+        if before != slots:
+            return
+        seconds = max(now - then, _LEAST_SECONDS) / len(slots)
         self._seconds.setdefault(worker, deque(maxlen=_NEWEST)).append(seconds)
 
     def stand_by(self, worker: str) -> None:
@@ -42,12 +47,14 @@ class Pace:
     def spoil(self, worker: str) -> None:
         """It does something else beside it: this collection does not count."""
         self._begun.pop(worker, None)
+        self._held.pop(worker, None)
 
     def forget(self, worker: str) -> None:
         """It is gone."""
-        self.spoil(worker)
+        self._begun.pop(worker, None)
         self._seconds.pop(worker, None)
         self._idle.pop(worker, None)
+        self._held.pop(worker, None)
 
     @property
     def seconds_per_slot(self) -> dict[str, float]:

@@ -1,8 +1,9 @@
 """Answers that cannot be believed. A state machine without clock or socket.
 
-An answer that is not finite, or a million times larger than what is usual, is refused and computed
+An answer that is not finite, or a million times larger than is usual, is refused and computed
 again, elsewhere if there is somebody else. What comes out so a second time is no fault of a
-worker: it is the computation. A worker whose answers are refused again and again is benched.
+worker: it is the computation. A worker whose refused answers come out otherwise elsewhere, again
+and again, is benched.
 """
 
 from collections import Counter, deque
@@ -19,7 +20,9 @@ Targets of σ and losses are squares: one fall of a policy that never falls make
 times as large. What is damaged or invented is larger by far.
 """
 BENCHED = 3
-"""Refusals after which a worker is sent away."""
+"""Refused answers that came out otherwise elsewhere, after which a worker is sent away."""
+_NEVER = 1e20
+"""Nothing is ever so large."""
 _NEWEST = 255
 _LEAST = 8
 _EVERY = 16
@@ -32,6 +35,8 @@ class _Usual:
     sizes: deque[float] = field(default_factory=lambda: deque(maxlen=_NEWEST))
     median: float = 1.0
     noted: int = 0
+    confirmed: float = 0.0
+    """The largest size that was wild and came out twice."""
 
     def note(self, size: float) -> None:
         self.sizes.append(size)
@@ -39,32 +44,55 @@ class _Usual:
         if self.noted < _EVERY or self.noted % _EVERY == 0:
             self.median = max(1.0, median(self.sizes))
 
+    def is_wild(self, size: float) -> bool:
+        known = len(self.sizes) >= _LEAST
+        return size > _NEVER or (known and size > max(WILD * self.median, 10 * self.confirmed))
+
+
+@dataclass(slots=True)
+class _Memory:
+    """Whose answers about which slots were refused in one round."""
+
+    round: RoundId | None = None
+    workers: dict[int, str] = field(default_factory=dict)
+
+    def of(self, round_id: RoundId) -> dict[int, str]:
+        """Slot to worker; empty in a new round."""
+        if round_id != self.round:
+            self.round = round_id
+            self.workers.clear()
+        return self.workers
+
 
 @dataclass(slots=True)
 class Quarantine:
     """What is usual, who was refused, and what was refused in the round under way."""
 
     _usual: dict[str, _Usual] = field(default_factory=dict)
-    _refusals: Counter[str] = field(default_factory=Counter)
-    _round: RoundId | None = None
-    _refused: dict[int, str] = field(default_factory=dict)
-    """Of the round under way: slot to the worker whose answer was refused."""
+    _refuted: Counter[str] = field(default_factory=Counter)
+    """Of each worker, refused answers that came out otherwise elsewhere."""
+    _answers: _Memory = field(default_factory=_Memory)
+    _failures: _Memory = field(default_factory=_Memory)
 
     def outlier(self, sizes: Mapping[str, float]) -> str:
         """What of an answer is wildly large, in words; empty if nothing is."""
         for name, size in sizes.items():
-            usual = self._usual.get(name)
-            if usual is None or len(usual.sizes) < _LEAST:
-                continue
-            if size > WILD * usual.median:
+            usual = self._usual.get(name, _Usual())
+            if usual.is_wild(size):
                 return f"{name} {size:.3g}, the median of the newest ones is {usual.median:.3g}"
         return ""
 
-    def accept(self, sizes: Mapping[str, float]) -> None:
-        """An answer counts: its sizes are usual from now on."""
+    def accept(
+        self, sizes: Mapping[str, float], slots: Iterable[int], round_id: RoundId
+    ) -> list[str]:
+        """An answer counts: its sizes are usual from now on; workers to be benched for theirs."""
         for name, size in sizes.items():
             if size > 0:  # nothing was measured, e.g. no episode began
                 self._usual.setdefault(name, _Usual()).note(size)
+        refused = self._answers.of(round_id)
+        refuted = {refused.pop(slot) for slot in slots if slot in refused} if refused else set()
+        self._refuted.update(refuted)
+        return sorted(worker for worker in refuted if self._refuted[worker] >= BENCHED)
 
     def refuse(self, worker: str, slots: Iterable[int], round_id: RoundId) -> str | None:
         """Refuse a worker's answer about slots.
@@ -73,17 +101,24 @@ class Quarantine:
             None: ask again. A worker's name: one of these slots was refused before in this round,
             from that worker (the same one, if there is no other), so it was not to blame.
         """
-        if round_id != self._round:
-            self._round = round_id
-            self._refused.clear()
-        before = next((self._refused[slot] for slot in slots if slot in self._refused), None)
-        self._refused.update(dict.fromkeys(slots, worker))
-        if before is None:
-            self._refusals[worker] += 1
-        else:
-            self._refusals[before] -= 1
-        return before
+        return self._again(self._answers.of(round_id), worker, slots)
 
-    def is_benched(self, worker: str) -> bool:
-        """Have its answers been refused too often?"""
-        return self._refusals[worker] >= BENCHED
+    def fail(self, worker: str, slot: int, iteration: RoundId) -> str | None:
+        """An environment of a slot has failed; as `refuse`."""
+        return self._again(self._failures.of(iteration), worker, (slot,))
+
+    def confirm(self, sizes: Mapping[str, float], slots: Iterable[int], round_id: RoundId) -> None:
+        """A wild answer has come out twice: nobody is to blame, and such sizes may come again."""
+        refused = self._answers.of(round_id)
+        for slot in slots:
+            refused.pop(slot, None)
+        for name, size in sizes.items():
+            usual = self._usual.setdefault(name, _Usual())
+            if usual.is_wild(size):
+                usual.confirmed = size
+
+    def _again(self, refused: dict[int, str], worker: str, slots: Iterable[int]) -> str | None:
+        before = next((refused[slot] for slot in slots if slot in refused), None)
+        for slot in slots:
+            refused.setdefault(slot, worker)
+        return before

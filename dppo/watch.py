@@ -10,6 +10,11 @@ from dataclasses import dataclass, field
 
 from dppo.patience import Patience
 
+_AGAIN = 2.0
+"""What ended well once may take so many times as long."""
+_FORGOTTEN = 0.999
+"""Share of it that is remembered at the next sign of life."""
+
 
 @dataclass(slots=True)
 class _Signs:
@@ -26,16 +31,23 @@ class Watch:
     """With a worker that lives and makes no progress."""
     pulse: Patience
     """With a worker of which nothing is heard."""
+    is_new: bool = False
+    """A kind of task that nobody has done yet is waited for as long as at first."""
     _signs: dict[str, _Signs] = field(default_factory=dict)
+    _longest_still: float = 0.0
+    _longest_silent: float = 0.0
+    """Longest times that ended well, slowly forgotten: what took so long may do so again [s]."""
 
     def hear(self, worker: str, now: float, done: int | None = None) -> None:
         """Something came from a worker: an answer, or the count of what it has done."""
         signs = self._signs.setdefault(worker, _Signs(-1, now, now))
+        self._longest_silent = max(_FORGOTTEN * self._longest_silent, now - signs.heard)
         if done is not None:
             self.pulse.note(now - signs.heard)
         signs.heard = now
         if done == signs.done:
             return
+        self._longest_still = max(_FORGOTTEN * self._longest_still, now - signs.moved)
         if done is not None:
             self.patience.note(now - signs.moved)
             signs.done = done
@@ -64,7 +76,11 @@ class Watch:
 
     def _stalls(self, worker: str, now: float) -> bool:
         signs = self._signs.setdefault(worker, _Signs(-1, now, now))
-        return now - signs.heard > self.pulse.limit or now - signs.moved > self.patience.limit
+        still = max(self.patience.limit, _AGAIN * self._longest_still)
+        if self.is_new:
+            still = max(still, self.patience.first)
+        silent = max(self.pulse.limit, _AGAIN * self._longest_silent)
+        return now - signs.heard > silent or now - signs.moved > still
 
     def describe(self, worker: str, now: float) -> str:
         """A silence in words: is the process quiet, or does it live and hang?"""

@@ -30,6 +30,7 @@ from dppo.wire.messages import (
     Ready,
     Stop,
     Task,
+    ToLearner,
     Welcome,
 )
 from learner.members import Members, listed
@@ -79,7 +80,7 @@ class Exchange:
         )
         self._members = Members(link, welcome, leases, self._questions, watch, clock)
         self._quarantine = Quarantine()
-        self._iteration = 0
+        self._iteration, self._looked = 0, clock()
         self.expected: Expected | None = None
         """The form of answers; to be set before the first question."""
         self.exact = True
@@ -120,13 +121,14 @@ class Exchange:
 
     def gather(self, task: Task, quorum: int) -> Round[Answer]:
         """Ask all slots, wait until the round may close, take what else is there; the round."""
-        self._look_after()
+        self._pause()
         round_ = self._questions.open(task, quorum)
+        self._members.asked(type(task))
         begun = remarked = self._clock()
         deadline = self._deadlines.open(round_, begun)
         if isinstance(task, Collect):
             for worker in set(self._leases.holder.values()):
-                self._members.pace.begin(worker, len(self._leases.slots_of(worker)), begun)
+                self._members.pace.begin(worker, self._leases.slots_of(worker), begun)
         while not round_.may_close:
             left = deadline - self._clock()
             self._handle(min(_TICK, left) if left > 0 else _TICK)
@@ -138,7 +140,7 @@ class Exchange:
             pass
         self._deadlines.close(round_, self._clock())
         self._questions.close()
-        self._members.calm()
+        self._members.answered(type(task))
         return round_
 
     def stop(self, reason: str, final: bool) -> None:
@@ -152,6 +154,18 @@ class Exchange:
         """One event, or one silence; was it an event?"""
         event = self._link.receive(timeout)
         self._members.look()
+        if event is None or self._clock() - self._looked > _TICK:
+            self._pause()
+        if event is not None:
+            self._attend(event)
+        return event is not None
+
+    def _pause(self) -> None:
+        """Look after children and signals."""
+        self._look_after()
+        self._looked = self._clock()
+
+    def _attend(self, event: ToLearner | WorkerLost | Refused) -> None:
         match event:
             case Hello():
                 self._members.greet(event)
@@ -167,9 +181,6 @@ class Exchange:
                 self._fail(event)
             case Refused():
                 log.warning("ignored a message: %s", event.reason)
-            case None:
-                self._look_after()
-        return event is not None
 
     def _fail(self, failure: Failure) -> None:
         """An environment failed; if it fails elsewhere, too, the run cannot go on.
@@ -186,7 +197,7 @@ class Exchange:
             return
         reason = f"{failure.reason}; {self.roster.describe(worker)}"
         iteration = RoundId(failure.generation, self._iteration, 0)
-        before = self._quarantine.refuse(worker, (failure.slot,), iteration)
+        before = self._quarantine.fail(worker, failure.slot, iteration)
         if before is not None:
             raise RunFailedError(f"{reason}; it is the second time, after worker {before}")
         log.warning("%s; it is tried once more, elsewhere if there is another worker", reason)
@@ -196,12 +207,14 @@ class Exchange:
 
     def _take(self, answer: Answer) -> None:
         first, size = block_of(answer)
-        aligned = size > 0 and size & (size - 1) == 0 and first % size == 0
+        fits = 0 <= first < self._leases.num_slots and 0 < size <= self._leases.num_slots
+        aligned = fits and size & (size - 1) == 0 and first % size == 0
         if not aligned or not self._members.hear(answer.worker):
             return
         round_id = RoundId(answer.generation, answer.iteration, answer.round)
         was_owed = self._questions.settle(answer, round_id)
-        self._deadlines.answered(round_id, (first, size), self._clock())
+        if was_owed:
+            self._deadlines.answered(round_id, (first, size), self._clock())
         if isinstance(answer, Collected):
             self._note_exactness(answer)
         round_, task = self._questions.round, self._questions.task
@@ -226,22 +239,28 @@ class Exchange:
             who = self.roster.describe(answer.worker)
             self._members.expel(answer.worker, f"{who} {objection}")
             return False
+        first, size = block_of(answer)
+        slots = range(first, min(first + size, self._leases.num_slots))
         found = sizes(answer)
         finite = all(map(isfinite, found.values()))
         doubt = self._quarantine.outlier(found) if finite else "numbers that are not finite"
-        if doubt and not self._is_confirmed(answer, round_id, doubt, finite):
-            return False
-        self._quarantine.accept(found)
+        if doubt:
+            if not self._is_confirmed(answer, slots, round_id, doubt, finite):
+                return False
+            self._quarantine.confirm(found, slots, round_id)
+        for worker in self._quarantine.accept(found, slots, round_id):
+            self._members.bench(worker)
         return True
 
-    def _is_confirmed(self, answer: Answer, round_id: RoundId, doubt: str, finite: bool) -> bool:
+    def _is_confirmed(
+        self, answer: Answer, slots: range, round_id: RoundId, doubt: str, finite: bool
+    ) -> bool:
         """A doubtful answer counts when it has come out so twice.
 
         Raises:
             RunFailedError: it has, and it is not finite.
         """
-        worker, (first, size) = answer.worker, block_of(answer)
-        slots = range(first, min(first + size, self._leases.num_slots))
+        worker = answer.worker
         what = (
             f"slots {listed(slots)} on {self.roster.describe(worker)}: {type(answer).__name__} of "
             f"iteration {answer.iteration}, round {answer.round} with {doubt}"
@@ -249,10 +268,7 @@ class Exchange:
         before = self._quarantine.refuse(worker, slots, round_id)
         if before is None:
             log.warning("refused %s; it is computed again", what)
-            if self._quarantine.is_benched(worker):
-                self._members.expel(worker, f"worker {worker} was refused again and again")
-            else:
-                self._members.part(worker, "its answer was refused")
+            self._members.part(worker, "its answer was refused")
             return False
         if not finite:
             raise RunFailedError(

@@ -10,13 +10,15 @@ from dppo.leases import Leases
 from dppo.pace import Pace
 from dppo.watch import Watch
 from dppo.wire.links import LearnerLink
-from dppo.wire.messages import Hello, Ready, Stop, Welcome
+from dppo.wire.messages import Hello, Ready, Stop, Task, Welcome
 from learner.fencing import check_served
 from learner.questions import Questions
 from learner.roster import Roster
 
 log = logging.getLogger("learner")
 _LOOK_SECONDS = 0.25
+_TOLD_SECONDS = 3.0
+"""How often somebody unknown is told to join anew; it may hang, and not hear it."""
 _MOST_LOSSES = 30
 """Holders that one slot may lose over one question."""
 _MOST_STALLS = 5
@@ -42,6 +44,9 @@ class Members:
         self._look_again = 0.0
         self._losses: Counter[int] = Counter()
         self._stalls: Counter[int] = Counter()
+        self._known: set[type[Task]] = set()
+        self._told: dict[str, float] = {}
+        self._benched: set[str] = set()
 
     @property
     def now(self) -> float:
@@ -61,36 +66,53 @@ class Members:
             return
         self._look_again = self._listened + _LOOK_SECONDS
         owing = [worker for worker in self._leases.workers if self._questions.owes(worker)]
-        for worker in self._watch.look(self._listened, owing):
-            self._give_up(worker)
+        if stalled := self._watch.look(self._listened, owing):
+            self._give_up(stalled)
 
-    def _give_up(self, worker: str) -> None:
-        why, held = self._watch.describe(worker, self._listened), self._leases.slots_of(worker)
-        who = self.roster.describe(worker)
-        log.warning("%s stalls: %s; others take its slots %s", who, why, listed(held))
+    def _give_up(self, stalled: list[str]) -> None:
+        """All at once: none of them is an heir of another."""
+        held: list[int] = []
+        for worker in stalled:
+            why = self._watch.describe(worker, self._listened)
+            who, slots = self.roster.describe(worker), self._leases.slots_of(worker)
+            held += slots
+            log.warning("%s stalls: %s; others take its slots %s", who, why, listed(slots))
+            self._link.send(worker, Stop(reason=f"it was given up, {why}", final=False))
+            self._link.cut(worker)
         self._stalls.update(held)
-        self.part(worker, f"it was given up, {why}")
-        self._link.cut(worker)
-        if any(self._stalls[slot] > _MOST_STALLS for slot in held):
+        if worst := [slot for slot in sorted(held) if self._stalls[slot] > _MOST_STALLS]:
             raise RunFailedError(
-                f"slots {listed(held)} stall on worker after worker, the last one was {who}, "
-                f"{why}; look what their environments wait for, or give a larger --patience"
+                f"slots {listed(tuple(worst))} stall on worker after worker, the last one was "
+                f"{who}, {why}; look what their environments wait for, or give a larger --patience"
             )
+        self._lose_all(stalled, "it was given up")
 
     def hear(self, worker: str, done: int | None = None) -> bool:
         """Something came from a worker; is it one of us? One that is not has to join anew."""
         if worker in self._leases.workers:
             self._watch.hear(worker, self._listened, done)
             return True
-        if done is not None:
+        if done is not None and self._listened - self._told.get(worker, -1e9) > _TOLD_SECONDS:
+            self._told[worker] = self._listened
             self._link.send(worker, Stop(reason="the learner does not know it", final=False))
         return worker in self.roster
 
-    def calm(self) -> None:
-        """A question was answered: what happened on the way is over."""
+    def asked(self, kind: type[Task]) -> None:
+        """A question of this kind is put."""
+        self._watch.is_new = kind not in self._known
+
+    def answered(self, kind: type[Task]) -> None:
+        """It was answered: what happened on the way is over."""
+        self._known.add(kind)
         self._losses.clear()
         self._stalls.clear()
         self._watch.calm()
+
+    def bench(self, worker: str) -> None:
+        """Others found otherwise what a worker had answered, again and again."""
+        self._benched.add(worker)
+        if worker in self.roster:
+            self.expel(worker, f"{self.roster.describe(worker)} was refused again and again")
 
     def greet(self, hello: Hello) -> None:
         """A worker asks to join.
@@ -102,9 +124,13 @@ class Members:
             log.warning("ignored a worker called %r: letters, digits and '-' only", hello.worker)
             return
         check_served(hello, self._welcome)
+        self._told.pop(hello.worker, None)
         if hello.worker in self._leases.workers:
             self.lose(hello.worker, "it joins anew")
         self.roster.greet(hello)
+        if hello.worker in self._benched:
+            self.bench(hello.worker)
+            return
         self._link.send(hello.worker, self._welcome)
 
     def admit(self, ready: Ready) -> None:
@@ -125,20 +151,24 @@ class Members:
         Raises:
             RunFailedError: one slot has lost holder after holder over the same question.
         """
-        self.roster.forget(worker)
-        self._questions.forget(worker)
-        self._watch.forget(worker)
-        self.pace.forget(worker)
-        if worker not in self._leases.workers:
-            return
-        held = self._leases.slots_of(worker)
-        heirs = self._leases.leave(worker)
-        log.info("worker %s left: %s; %d in the run", worker, why, len(self._leases.workers))
+        self._lose_all([worker], why)
+
+    def _lose_all(self, gone: list[str], why: str) -> None:
+        lost = [worker for worker in gone if worker in self._leases.workers]
+        held = tuple(slot for worker in lost for slot in self._leases.slots_of(worker))
+        heirs = self._leases.leave(*lost)
+        for worker in gone:
+            self.roster.forget(worker)
+            self._questions.forget(worker)
+            self._watch.forget(worker)
+            self.pace.forget(worker)
+        for worker in lost:
+            log.info("worker %s left: %s; %d in the run", worker, why, len(self._leases.workers))
         self._losses.update(held)
         if any(self._losses[slot] > _MOST_LOSSES for slot in held):
             raise RunFailedError(
                 f"slots {listed(held)} have lost more than {_MOST_LOSSES} workers in a row, the "
-                f"last one was {worker}: {why}; see what the workers printed"
+                f"last one was {gone[-1]}: {why}; see what the workers printed"
             )
         for heir, slots in heirs.items():
             self.pace.spoil(heir)

@@ -6,12 +6,12 @@ environment and every task; when it stands still, something hangs.
 
 import threading
 from collections.abc import Callable
-from types import TracebackType
 
 from dppo.wire.messages import Alive
 
 SECONDS = 0.5
 """Between two signs of life."""
+_END_SECONDS = 1.0
 
 
 class _Count:
@@ -24,25 +24,25 @@ def beat() -> None:
 
 
 class Heart:
-    """Beats beside a membership, in a thread of its own, as long as the context lasts."""
+    """Beats beside a membership, in a thread of its own."""
 
     def __init__(self, worker: str, generation: int, send: Callable[[Alive], None]) -> None:
         """`send` is called in the other thread."""
         self._worker, self._generation, self._send = worker, generation, send
         self._over = threading.Event()
+        self._thread: threading.Thread | None = None
 
-    def __enter__(self) -> None:
-        """Begin."""
-        threading.Thread(target=self._live, daemon=True).start()
+    def begin(self) -> None:
+        """Beat from now on; once is enough."""
+        if self._thread is None:
+            self._thread = threading.Thread(target=self._live, daemon=True)
+            self._thread.start()
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """End."""
+    def end(self) -> None:
+        """Beat no more; a sign that is just being sent is waited for, but not for long."""
         self._over.set()
+        if self._thread is not None:
+            self._thread.join(_END_SECONDS)
 
     def _live(self) -> None:
         while not self._over.wait(SECONDS):

@@ -140,10 +140,11 @@ class Member:
 
     def _serve(self, welcome: Welcome) -> Stop | None:
         """Everything from Welcome to the end of this membership; None: the learner is lost."""
+        heart = Heart(self._name, welcome.generation, self._link.send)
         try:
             worker = self._prepare(welcome)
-            with Heart(self._name, welcome.generation, self._link.send):
-                return self._work(worker, welcome.generation)
+            heart.begin()
+            return self._work(worker, welcome.generation)
         except OutOfStepError as error:
             log.info("%s; joining anew", error)
             return None
@@ -156,7 +157,10 @@ class Member:
                 reason=str(error),
             )
             self._link.send(failure)
+            heart.begin()  # if the failure is lost, signs of life of a stranger are answered
             return self._wait_for_stop(failure.reason)
+        finally:
+            heart.end()
 
     def _work(self, worker: Worker, generation: int) -> Stop | None:
         """Do what the learner asks until it says stop; None: it is lost."""

@@ -189,6 +189,10 @@ def test_a_worker_that_is_refused_three_times_is_benched():
             liar.collected(2, 3, iteration=iteration + 2)
             story.collect(replace(COLLECT, iteration=iteration + 2))
             lied, kept = (2, 2), (0, 2)  # it comes after the honest one now
+    liar.join()
+    honest.gradient(0, 4, iteration=5, round=2)
+    story.ask(replace(UPDATE, iteration=5, round=2))
+    assert liar.heard() == ["Stop"]
     assert liar.last.final
     assert "again and again" in liar.last.reason
 

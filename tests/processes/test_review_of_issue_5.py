@@ -14,8 +14,6 @@ from dppo.networks import Networks
 from dppo.pace import Pace
 from dppo.patience import Patience
 from dppo.process import Terminated
-from dppo.quarantine import Quarantine
-from dppo.rounds import RoundId
 from dppo.spaces import Spaces
 from dppo.watch import Watch
 from dppo.wire import messages as wire
@@ -70,17 +68,6 @@ def test_signals_are_looked_after_in_a_long_round_with_many_signs_of_life():
         exchange.gather(replace(COLLECT, iteration=0), SLOTS)
 
 
-def test_a_worker_is_not_benched_when_another_confirms_its_slots_together_with_its_own():
-    quarantine = Quarantine()
-    for number in range(3):
-        round_id = RoundId(1, 1, 1 + number)
-        assert quarantine.refuse("a", (0, 1), round_id) is None
-        assert quarantine.refuse("b", (2, 3), round_id) is None
-        assert quarantine.refuse("a", (0, 1, 2, 3), round_id) is not None
-    assert not quarantine.is_benched("a")
-    assert not quarantine.is_benched("b")
-
-
 def test_a_task_that_always_takes_longer_than_a_sign_of_life_is_not_given_up_for_ever():
     watch = Watch(patience=Patience(first=30.0, least=3.0), pulse=Patience(first=3.0, least=3.0))
     now, done, vain = 0.0, 0, []
@@ -106,7 +93,8 @@ def iteration_seconds(worker_slots, held):
 
 
 def test_of_two_equal_workers_the_one_that_joins_later_gets_its_share():
-    leases, pace, now, held = Leases(8), Pace(), 0.0, {}
+    leases, pace, now = Leases(8), Pace(), 0.0
+    held: dict[str, tuple[int, ...]] = {}
     leases.join("a")
     for iteration in range(100):
         if iteration == 10:
@@ -116,7 +104,7 @@ def test_of_two_equal_workers_the_one_that_joins_later_gets_its_share():
         for worker in leases.workers:
             mine = leases.slots_of(worker)
             if mine:
-                pace.begin(worker, len(mine), now)
+                pace.begin(worker, mine, now)
                 pace.end(worker, now + iteration_seconds(mine, held.get(worker)))
             held[worker] = mine
     assert len(leases.slots_of("b")) >= 3  # 7 and 1 take a third longer than 4 and 4

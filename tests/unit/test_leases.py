@@ -86,7 +86,8 @@ EVENTS = [("spread",), *product(("join", "leave", "work"), "abc")]
 
 def signature(leases):
     held = tuple(sorted(leases.holder.items()))
-    return tuple(leases.workers), held, tuple(sorted(leases.current)), leases.spread_over
+    current = tuple(sorted(leases.current))
+    return tuple(leases.workers), held, current, leases.spread_over, leases.worth_it
 
 
 @pytest.mark.parametrize("num_slots", [1, 2, 4])
@@ -210,19 +211,29 @@ def test_a_worker_that_was_not_measured_counts_as_the_fastest_one():
 def test_slots_stay_where_they_are_for_a_small_difference_of_speed():
     leases = with_workers(8, "a", "b")
     leases.spread()
-    leases.seconds = {"a": 1.0, "b": 1.4}  # 4 x 1.4 s = 5.6 s now, 5 x 1 s at best: 1.12 times
-    leases.spread()
+    leases.seconds = {"a": 1.0, "b": 1.9}  # less than twice as slow: alike
+    for _ in range(9):
+        leases.spread()
     assert [len(leases.slots_of(worker)) for worker in leases.workers] == [4, 4]
-    leases.seconds = {"a": 1.0, "b": 1.6}  # 6.4 s against 5 s: 1.28 times
+
+
+def test_slots_move_when_it_has_been_worth_it_three_times_running():
+    leases = with_workers(8, "a", "b")
     leases.spread()
-    assert [len(leases.slots_of(worker)) for worker in leases.workers] == [5, 3]
+    for seconds in (2.1, 2.1, 1.0, 2.1, 2.1):  # 4 x 2.1 s now, 6 x 1 s at best: 1.4 times
+        leases.seconds = {"a": 1.0, "b": seconds}
+        leases.spread()
+        assert [len(leases.slots_of(worker)) for worker in leases.workers] == [4, 4]
+    leases.spread()
+    assert [len(leases.slots_of(worker)) for worker in leases.workers] == [6, 2]
 
 
 def test_a_faster_spare_takes_the_place_of_a_slow_worker():
     leases = with_workers(2, "a", "slow", "spare")
     leases.spread()
     leases.seconds = {"a": 1.0, "slow": 4.0}  # the spare counts as 1 s
-    leases.spread()
+    for _ in range(3):
+        leases.spread()
     assert leases.spares == ("slow",)
 
 

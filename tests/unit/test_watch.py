@@ -5,6 +5,7 @@ from dppo.patience import Patience
 from dppo.watch import Watch
 
 PULSE = 2.0
+FOUR = (0, 1, 2, 3)
 
 
 def watch(first=2.0, least=1.0):
@@ -36,9 +37,9 @@ def test_a_count_that_grows_and_an_answer_are_progress():
     w.hear("a", 0.0, done=1)
     w.hear("a", 1.9, done=2)
     w.hear("a", 3.8)
-    assert w.look(5.7, ["a"]) == []
-    assert w.look(5.9, ["a"]) == ["a"]
-    assert w.describe("a", 5.9) == "silent for 2.1 s"
+    assert w.look(7.5, ["a"]) == []  # twice 1.9 s, which ended well
+    assert w.look(7.7, ["a"]) == ["a"]
+    assert w.describe("a", 7.7) == "silent for 3.9 s"
 
 
 def test_silence_counts_from_when_the_worker_began_to_owe():
@@ -63,24 +64,44 @@ def test_the_limit_follows_the_silences_seen_and_doubles_when_someone_was_given_
     for k in range(9):
         w.hear("a", 4.0 * k, done=k)  # always 4 s apart: no deviation
     assert (w.patience.limit, w.pulse.limit) == (4.0, 4.0)
-    assert w.look(36.1, ["a"]) == ["a"]  # 4.1 s after the last one
+    assert w.look(39.8, ["a"]) == []  # twice the longest
+    assert w.look(40.1, ["a"]) == ["a"]
     assert (w.patience.limit, w.pulse.limit) == (8.0, 8.0)
-    assert w.look(39.9, ["a"]) == []
     w.calm()
     assert (w.patience.limit, w.pulse.limit) == (4.0, 4.0)
 
 
 def test_pace_is_the_median_of_the_newest_collections_per_slot():
     pace = Pace()
-    for seconds in (8.0, 1.0, 2.0, 3.0, 100.0, 3.0):  # the first one is forgotten
-        pace.begin("a", 4, now=10.0)
+    for seconds in (9.0, 8.0, 1.0, 2.0, 3.0, 100.0, 3.0):  # the first two are forgotten
+        pace.begin("a", FOUR, now=10.0)
         pace.end("a", now=10.0 + seconds)
     assert pace.seconds_per_slot == {"a": 3.0 / 4}
 
 
+def test_a_collection_of_new_slots_does_not_count_they_had_to_be_set_up():
+    pace = Pace()
+    for slots, seconds in ((FOUR, 50.0), (FOUR, 4.0), ((0, 1), 30.0), ((0, 1), 2.0)):
+        pace.begin("a", slots, now=0.0)
+        pace.end("a", now=seconds)
+    assert pace.seconds_per_slot == {"a": 1.0}
+
+
+def test_what_was_never_done_is_waited_for_as_long_as_at_first():
+    w = watch(first=60.0, least=1.0)
+    for k in range(20):
+        w.hear("a", 0.5 * k, done=k)
+    w.is_new = True
+    for now in range(10, 70):
+        w.hear("a", float(now), done=19)
+        assert w.look(float(now), ["a"]) == []
+    w.hear("a", 70.0, done=19)
+    assert w.look(70.0, ["a"]) == ["a"]
+
+
 def test_a_collection_that_was_spoiled_or_never_begun_does_not_count():
     pace = Pace()
-    pace.begin("a", 1, now=0.0)
+    pace.begin("a", (0,), now=0.0)
     pace.spoil("a")
     pace.end("a", now=5.0)
     pace.end("b", now=5.0)
@@ -89,8 +110,9 @@ def test_a_collection_that_was_spoiled_or_never_begun_does_not_count():
 
 def test_a_spare_is_forgiven_its_pace_in_the_end():
     pace = Pace()
-    pace.begin("a", 1, now=0.0)
-    pace.end("a", now=9.0)
+    for _ in range(2):
+        pace.begin("a", (0,), now=0.0)
+        pace.end("a", now=9.0)
     for _ in range(200):
         pace.stand_by("a")
     assert pace.seconds_per_slot == {"a": 9.0}
