@@ -115,8 +115,7 @@ class Exchange:
         for spare in self._leases.spares:
             self._members.pace.stand_by(spare)
         if self._leases.spares and collect.iteration % 100 == 1:
-            spares, slots = len(self._leases.spares), self._leases.num_slots
-            log.warning("%d workers stand by: --slots %d is what limits them", spares, slots)
+            log.warning("%s", self._members.standing_by())
 
     def gather(self, task: Task, quorum: int) -> Round[Answer]:
         """Ask all slots, wait until the round may close, take what else is there; the round."""
@@ -196,8 +195,8 @@ class Exchange:
 
     def _take(self, answer: Answer) -> None:
         first, size = block_of(answer)
-        aligned = size > 0 and size & (size - 1) == 0 and first % size == 0
-        if not aligned or not self._members.hear(answer.worker):
+        aligned = 0 < size <= self._leases.num_slots and size & (size - 1) == 0
+        if not aligned or first % size != 0 or not self._members.hear(answer.worker):
             return
         round_id = RoundId(answer.generation, answer.iteration, answer.round)
         was_owed = self._questions.settle(answer, round_id)
