@@ -73,6 +73,7 @@ class ProcessArgs:
         for name, least in leasts.items():
             require(getattr(self, name) >= least, name, getattr(self, name), f">= {least}")
         require(self.patience >= 1, "patience", self.patience, ">= 1")
+        require("/" not in self.name, "name", repr(self.name), "no '/': it is part of a folder's")
 
 
 @dataclass(frozen=True, kw_only=True)
