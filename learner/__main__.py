@@ -27,6 +27,7 @@ _ALIASES = {
     "--workers": "--local-workers",
     "-n": "--total-timesteps",
 }
+_RESULT_SECONDS = 3.0
 _WHOLE_NUMBERS = ("--total-timesteps", "--stop-at")
 
 
@@ -73,6 +74,7 @@ class ProcessArgs:
         for name, least in leasts.items():
             require(getattr(self, name) >= least, name, getattr(self, name), f">= {least}")
         require(self.patience >= 1, "patience", self.patience, ">= 1")
+        require("/" not in self.name, "name", repr(self.name), "no '/': it is part of a folder's")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,9 +214,19 @@ def _leave_result(folder: "RunDirectory", result: dict[str, object]) -> None:
     """Write result.json if the disk takes it: what it says is also in the checkpoint."""
     import logging
 
+    name = "result.json"
+
+    from learner.disk import Disk
     from learner.saving import insist
 
-    failure = insist(lambda: folder.write_json("result.json", result))
+    failures: list[OSError | None] = []
+    disk = Disk(folder.path, "")
+    job = disk.run(lambda: failures.append(insist(lambda: folder.write_json(name, result))))
+    try:
+        disk.wait(job, name, _RESULT_SECONDS)
+    except OSError as error:
+        failures.append(error)
+    failure = failures[0]
     if failure is not None:
         logging.getLogger("learner").warning(
             "result.json in %s cannot be written: %s; what it would say is printed, and in the "
@@ -248,7 +260,9 @@ def _folder(config: Config, args: ProcessArgs) -> "RunDirectory":
     folder = RunDirectory.open(path)
     if folder.has_run and (args.replay or args.resume == "never"):
         raise UsageError(
-            f"--run-dir {path} holds a run and --resume is never; give another folder, or "
+            f"--run-dir {path} holds a run, and --replay begins anew; give another folder"
+            if args.replay
+            else f"--run-dir {path} holds a run and --resume is never; give another folder, or "
             "--resume auto to continue it"
         )
     folder.check_config(config)

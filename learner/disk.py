@@ -6,9 +6,11 @@ was logged before a checkpoint is in the files before the checkpoint is.
 """
 
 import contextlib
+import errno
 import logging
 import os
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -16,6 +18,9 @@ from pathlib import Path
 
 log = logging.getLogger("disk")
 _REMARK_SECONDS = 10.0
+_PAUSE_SECONDS = 0.25
+_SETTLE_SECONDS = 5.0
+"""Longest wait for the last lines."""
 MOST_WAITING = 64 * 2**20
 """Of one file that the disk does not take [bytes]."""
 
@@ -61,9 +66,10 @@ class GrowingFile:
         handle = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
         try:
             there = os.fstat(handle).st_size
-            self._size = min(self._size, there)  # less: somebody has emptied the file
-            if there > self._size:
+            if not self._is_cut and there > self._size:
                 os.ftruncate(handle, self._size)
+                there = self._size
+            self._size = there  # other than it was left: somebody else writes here, too
             self._is_cut = True
             while self._waiting:
                 self._move_one(handle)
@@ -82,7 +88,8 @@ class GrowingFile:
             with self._lock:
                 self._waiting.appendleft(data)
                 self._waiting_bytes += len(data)
-            with contextlib.suppress(OSError):  # otherwise the next attempt writes over it
+            self._is_cut = False  # the next attempt cuts what this one has left
+            with contextlib.suppress(OSError):
                 os.ftruncate(handle, self._size)
             raise
         self._size += len(data)
@@ -111,12 +118,33 @@ class Disk:
         """Do `work` in the thread, after what it was given before."""
         return self._thread.submit(work)
 
-    def wait(self, job: Future[None], what: str) -> None:
-        """Wait for a job, and say so when it takes long; an error of its own is raised here."""
-        waited = 0.0
-        while not wait([job], _REMARK_SECONDS).done:
-            waited += _REMARK_SECONDS
-            log.warning("waiting for the disk to take %s, for %.0f s", what, waited)
+    def wait(
+        self,
+        job: Future[None],
+        what: str,
+        most: float = float("inf"),
+        pause: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Wait for a job, and say so when it takes long; an error of its own is raised here.
+
+        Args:
+            job: what `run` gave.
+            what: it is, in words.
+            most: longest wait [s].
+            pause: called several times a second; it may raise to end the wait.
+
+        Raises:
+            OSError: it was not done in that time.
+        """
+        begun = remarked = time.monotonic()
+        while not wait([job], _PAUSE_SECONDS).done:
+            now = time.monotonic()
+            if now - begun > most:
+                raise OSError(errno.ETIMEDOUT, f"the disk has not taken it for {most:g} s")
+            if now - remarked > _REMARK_SECONDS:
+                remarked = now
+                log.warning("waiting for the disk to take %s, for %.0f s", what, now - begun)
+            pause()
         job.result()
 
     def write_out(self) -> None:
@@ -135,7 +163,8 @@ class Disk:
 
     def settle(self) -> None:
         """Write what waits, and wait for it; say what the disk does not take."""
-        self.wait(self.run(self.write_out), self._what)
+        with contextlib.suppress(OSError):  # it hangs: what is left is counted
+            self.wait(self.run(self.write_out), self._what, _SETTLE_SECONDS)
         left = sum(file.waiting for file in self._files)
         if left and self._what:
             log.warning("%d lines of %s are still not on the disk", left, self._what)

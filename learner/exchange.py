@@ -116,8 +116,7 @@ class Exchange:
         for spare in self._leases.spares:
             self._members.pace.stand_by(spare)
         if self._leases.spares and collect.iteration % 100 == 1:
-            spares, slots = len(self._leases.spares), self._leases.num_slots
-            log.warning("%d workers stand by: --slots %d is what limits them", spares, slots)
+            log.warning("%s", self._members.standing_by())
 
     def gather(self, task: Task, quorum: int) -> Round[Answer]:
         """Ask all slots, wait until the round may close, take what else is there; the round."""

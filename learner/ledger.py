@@ -1,7 +1,7 @@
 """The ledger of a run under way: notes each update and iteration, or compares it in a replay."""
 
 import logging
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,13 +27,13 @@ class Ledger:
         config: RolloutConfig,
         write: Callable[[Line], None],
         deadlines: Deadlines | None = None,
-        before: Iterable[Line] = (),
+        accounts: Accounts | None = None,
         original: Original | None = None,
     ) -> None:
-        """`before`: the lines of a run that is resumed. `original`: what a replay repeats."""
+        """`accounts`: of a run that is resumed. `original`: what a replay repeats."""
         self._config, self._write, self._original = config, write, original
         self._deadlines = deadlines
-        self.accounts = Accounts.of(config.slots, before)
+        self.accounts = accounts or Accounts(config.slots)
         if deadlines is not None:
             deadlines.running = dict(enumerate(self.accounts.running))
 

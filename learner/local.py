@@ -1,7 +1,7 @@
 """Worker processes on the learner's own machine: started, looked after, ended."""
 
+import contextlib
 import logging
-import signal
 import socket
 import subprocess
 import sys
@@ -19,6 +19,7 @@ _MOST_FAILED_STARTS = 2
 _MOST_YOUNG_DEATHS = 20
 """In a row, by signals: somebody may be killing them on purpose."""
 _END_SECONDS = 3.0
+_END_LOOK_SECONDS = 0.02
 _LOOK_SECONDS = 0.2
 
 
@@ -69,14 +70,15 @@ class LocalWorkers:
         self._look_again = now + _LOOK_SECONDS
         for index, child in self._children.items():
             died = child.process.poll()
-            if died is not None:
-                self._count_death(index, child, died)
-            elif not self.link.was_cut(child.name):
-                continue
-            else:  # it may be unable to end by itself
+            if self.link.was_cut(child.name):  # it may be unable to end by itself
                 log.warning("local worker %d was given up; starting another in its place", index)
-                child.process.send_signal(signal.SIGKILL)
-                child.process.wait()
+                child.process.kill()
+            elif died is not None:
+                self._count_death(index, child, died)
+            else:
+                if time.monotonic() - child.born > _TROUBLE_SECONDS:
+                    self._young_deaths = 0
+                continue
             self.link.forget(child.name)
             self._spawned += 1
             self._children[index] = self._spawn(index, self._spawned)
@@ -84,13 +86,12 @@ class LocalWorkers:
     def _count_death(self, index: int, child: "_Child", code: int) -> None:
         log.warning("local worker %d died with exit code %d; starting another", index, code)
         if time.monotonic() - child.born > _TROUBLE_SECONDS:
-            self._young_deaths = 0
             return
         self._young_deaths += 1
         if self._young_deaths > (_MOST_YOUNG_DEATHS if code < 0 else _MOST_FAILED_STARTS):
             raise RunFailedError(
-                f"local workers died {self._young_deaths} times in a row within "
-                f"{_TROUBLE_SECONDS:g} s of their start, the last with exit code {code}; see what "
+                f"local workers died {self._young_deaths} times within {_TROUBLE_SECONDS:g} s of "
+                f"their start, and none lived longer; the last had exit code {code}; see what "
                 "they printed above"
             )
 
@@ -98,12 +99,14 @@ class LocalWorkers:
         """End all of them, within three seconds."""
         until = time.monotonic() + _END_SECONDS
         self.link.let_go()
-        for child in self._children.values():
-            try:
-                child.process.wait(max(0.1, until - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                child.process.send_signal(signal.SIGKILL)
-                child.process.wait()
+        processes = [child.process for child in self._children.values()]
+        while time.monotonic() < until and any(process.poll() is None for process in processes):
+            time.sleep(_END_LOOK_SECONDS)
+        for process in processes:
+            process.kill()  # those that have ended are left alone
+        for process in processes:
+            with contextlib.suppress(subprocess.TimeoutExpired):  # stuck in the kernel
+                process.wait(_END_LOOK_SECONDS)
         self._children.clear()
 
     def _spawn(self, index: int, restart: int) -> _Child:

@@ -195,6 +195,14 @@ class Members:
             raise UsageError(reason)
         self.expel(worker, f"{self.roster.describe(worker)}: {reason}")
 
+    def standing_by(self) -> str:
+        """Who holds no slot, and why, in words."""
+        spares, slots = self._leases.spares, self._leases.num_slots
+        if len(self._leases.workers) > slots:
+            return f"{len(spares)} workers stand by: --slots {slots} is what limits them"
+        who = ", ".join(map(self.roster.describe, spares))
+        return f"these stand by, the others are done sooner without them: {who}"
+
     def waiting_for(self, missing: tuple[int, ...]) -> str:
         """Who keeps us waiting for these slots, in words."""
         if not self._leases.workers:

@@ -4,6 +4,7 @@ A resumed run takes up its files where the checkpoint stands: lines of iteration
 again are cut off, so every iteration has one line. Nothing here waits for the disk; see `disk.py`.
 """
 
+import contextlib
 import csv
 import io
 import json
@@ -11,6 +12,7 @@ import logging
 import os
 import socket
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -36,14 +38,27 @@ _HEADER = ("iteration", "time/total_timesteps", *_COLUMNS)
 class RunLog:
     """The metric files of one run."""
 
-    def __init__(self, folder: Path, iteration: int, disk: Disk) -> None:
-        """Take up the files of a run that stands at the start of `iteration`."""
+    def __init__(
+        self,
+        folder: Path,
+        iteration: int,
+        disk: Disk,
+        noted: Callable[[Line], object] = lambda _line: None,
+    ) -> None:
+        """Take up the files of a run that stands at the start of `iteration`.
+
+        `noted` gets the ledger's lines so far, one after the other: there may be millions.
+        """
         self._disk = disk
-        self._metrics, rows = _taken_up(folder, "metrics.jsonl", iteration, disk)
+        rows: list[dict[str, Any]] = []
+        self._metrics = _taken_up(folder / "metrics.jsonl", iteration, disk, rows.append)
+
+        def keep(row: dict[str, Any]) -> None:
+            if (line := _known(row)) is not None:
+                noted(line)
+
         # the iteration under way notes what was dropped, counted from 0
-        self._ledger, noted = _taken_up(folder, "ledger.jsonl", iteration - 1, disk)
-        self.noted = _lines(noted)
-        """The ledger's lines so far."""
+        self._ledger = _taken_up(folder / "ledger.jsonl", iteration - 1, disk, keep)
         self._table = disk.file("progress.csv", 0)
         self._table.write(_cells([*_HEADER]) + b"".join(map(_row, rows)))
         self._board: Any = None
@@ -95,25 +110,25 @@ class RunLog:
 
 
 def _taken_up(
-    folder: Path, name: str, iteration: int, disk: Disk
-) -> tuple[GrowingFile, list[dict[str, Any]]]:
-    """A file of JSON lines without those of iterations beyond `iteration`, and the rows it has.
+    path: Path, iteration: int, disk: Disk, keep: Callable[[dict[str, Any]], None]
+) -> GrowingFile:
+    """A file of JSON lines without those of iterations beyond `iteration`; `keep` gets the others.
 
     Lines are in the order of their iterations. What is torn ends the file.
     """
-    size, rows, ends = 0, [], True
-    path = folder / name
-    for line in path.read_bytes().splitlines(keepends=True) if path.exists() else ():
-        row = _parsed(line)
-        if not ends or row is None or row["iteration"] > iteration:
-            break
-        size += len(line)
-        rows.append(row)
-        ends = line.endswith(b"\n")
-    file = disk.file(name, size)
+    size, ends = 0, True
+    with contextlib.ExitStack() as stack:
+        for line in stack.enter_context(path.open("rb")) if path.exists() else ():
+            row = _parsed(line)
+            if not ends or row is None or row["iteration"] > iteration:
+                break
+            size += len(line)
+            keep(row)
+            ends = line.endswith(b"\n")
+    file = disk.file(path.name, size)
     if not ends:
         file.write(b"\n")
-    return file, rows
+    return file
 
 
 def _parsed(line: bytes) -> dict[str, Any] | None:
@@ -125,15 +140,13 @@ def _parsed(line: bytes) -> dict[str, Any] | None:
     return row if whole else None
 
 
-def _lines(rows: list[dict[str, Any]]) -> list[Line]:
-    """The lines of a ledger; one that is damaged or of an older version must not end the run."""
-    lines = []
-    for row in rows:
-        try:
-            lines.append(from_values(row))
-        except ValueError as error:
-            log.warning("left out of the accounts of dropping, a line of ledger.jsonl: %s", error)
-    return lines
+def _known(row: dict[str, Any]) -> Line | None:
+    """A line of the ledger; one that is damaged or of an older version must not end the run."""
+    try:
+        return from_values(row)
+    except ValueError as error:
+        log.warning("left out of the accounts of dropping, a line of ledger.jsonl: %s", error)
+        return None
 
 
 def _line(row: dict[str, Any]) -> bytes:

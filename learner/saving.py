@@ -79,16 +79,29 @@ class Saving:
         self._settle()
         self._job = self._disk.run(lambda: self._save(state))
 
-    def finish(self, state: State) -> None:
-        """Make sure that the state is on the disk; waits.
+    def finish(
+        self,
+        state: State,
+        most: float = float("inf"),
+        look_after: Callable[[], None] = lambda: None,
+    ) -> None:
+        """Make sure that the state is on the disk.
+
+        Args:
+            state: what has to be there.
+            most: longest wait [s].
+            look_after: called while it waits; it may raise.
 
         Raises:
-            RunFailedError: it cannot be written.
+            RunFailedError: it cannot be written, or not in time.
         """
-        self._settle()
-        if self._newest != state.iteration:
-            self._job = self._disk.run(lambda: self._save(state, last=True))
-            self._settle()
+        try:
+            self._settle(most, look_after)
+            if self._newest != state.iteration:
+                self._job = self._disk.run(lambda: self._save(state, last=True))
+                self._settle(most, look_after)
+        except OSError as error:
+            self._failure = error
         if self._newest != state.iteration:
             raise RunFailedError(
                 f"the checkpoint of iteration {state.iteration} in {self._folder} could not be "
@@ -96,10 +109,12 @@ class Saving:
                 f"goes on from iteration {max(self._newest, 0)}"
             )
 
-    def _settle(self) -> None:
+    def _settle(
+        self, most: float = float("inf"), look_after: Callable[[], None] = lambda: None
+    ) -> None:
         """Wait for the save under way; an error that is not the disk's is raised here."""
         if self._job is not None:
-            self._disk.wait(self._job, f"a checkpoint in {self._folder}")
+            self._disk.wait(self._job, f"a checkpoint in {self._folder}", most, look_after)
             self._job = None
 
     def _save(self, state: State, last: bool = False) -> None:

@@ -22,6 +22,7 @@ from dppo.wire.messages import Welcome
 from learner.chief import Chief
 from learner.console import Console
 from learner.disk import Disk
+from learner.dropping import Accounts
 from learner.exchange import Exchange
 from learner.ledger import Ledger
 from learner.replay import Original
@@ -31,6 +32,7 @@ from learner.soundness import Expected
 from learner.state import State
 
 log = logging.getLogger("learner")
+_STOP_SECONDS = 6.0
 _VERSIONS = ("dppo", "numpy", "mujoco", "gymnasium", "eclipse-zenoh")
 
 
@@ -50,6 +52,7 @@ class Session:
     ) -> None:
         """With an `original` it is run again, by its ledger."""
         self._config, self._folder, self._original = config, folder, original
+        self._look_after = look_after
         self._every = checkpoint_every
         self.generation = folder.next_generation()
         welcome = Welcome(
@@ -95,9 +98,10 @@ class Session:
             log.warning(
                 "resuming at iteration %d of %d", self.state.iteration, self._config.iterations
             )
-        runlog = RunLog(self._folder.path, self.state.iteration, self._disk)
+        accounts = Accounts(self._config.rollout.slots)
+        runlog = RunLog(self._folder.path, self.state.iteration, self._disk, accounts.note)
         self._ledger = Ledger(
-            self._config.rollout, runlog.note, self._deadlines, runlog.noted, self._original
+            self._config.rollout, runlog.note, self._deadlines, accounts, self._original
         )
         console = Console(self._config, self.state.iteration * self._config.rollout.samples)
         try:
@@ -110,13 +114,13 @@ class Session:
         return self._result("finished" if finished else "stopped")
 
     def save(self) -> None:
-        """Make sure that the newest whole iteration is on the disk.
+        """Make sure, for a run that stops, that the newest whole iteration is on the disk.
 
         Raises:
-            RunFailedError: it cannot be written.
+            RunFailedError: it cannot be written, or not within the time that a stop may take.
         """
         if self.state is not None:
-            self._saving.finish(self.state)
+            self._saving.finish(self.state, most=_STOP_SECONDS)
 
     def interrupted(self) -> dict[str, object] | None:
         """After a signal: pause the workers; the contents of result.json, if anything was done."""
@@ -144,7 +148,7 @@ class Session:
             console.show(report, speed)
             if self.state.iteration % self._every == 0:
                 self._saving.begin(self.state)
-        self.save()
+        self._saving.finish(self.state, look_after=self._look_after)
 
     @property
     def _env_steps(self) -> int:

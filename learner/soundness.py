@@ -1,5 +1,6 @@
 """Is an answer what was asked for, and can it be believed?"""
 
+import json
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from dppo.gradients import Sums
 from dppo.spaces import Spaces
-from dppo.sums import Block
+from dppo.sums import Block, members
 from dppo.wire.messages import Answer, Collected, Gradient, Measured
 
 _WEIGHTS = 3
@@ -33,6 +34,13 @@ class Expected:
         for count, most in self._counts(answer):
             if count < 0 or count > most:
                 return f"sent a {kind} over {count:g} samples, expected at most {most}"
+        match answer:
+            case Gradient() if not set(answer.stopped) <= set(members(block_of(answer))):
+                return f"sent a Gradient of other slots than {answer.stopped}, which it stops"
+            case Measured() if answer.weight == 0:
+                return "sent a Measured over no samples"
+            case Collected() if not _is_whole(answer.snapshot):
+                return "sent a Collected whose snapshot is damaged"
         return ""
 
     def _lengths(self, answer: Answer) -> dict[str, int]:
@@ -58,6 +66,17 @@ class Expected:
                 return [(float(vector[0]), self.samples) for vector in vectors]
             case Measured():
                 return [(answer.weight, self.samples)]
+
+
+def _is_whole(snapshot: bytes) -> bool:
+    """Is it safetensors, to its last byte? What its arrays mean, only workers know."""
+    start = 8 + int.from_bytes(snapshot[:8], "little")
+    try:
+        header = json.loads(snapshot[8:start])
+        ends = [entry["data_offsets"][1] for entry in header.values() if "dtype" in entry]
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError):
+        return False
+    return start + max(ends, default=0) == len(snapshot)
 
 
 def sizes(answer: Answer) -> dict[str, float]:

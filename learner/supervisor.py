@@ -106,8 +106,7 @@ def supervise(command: Sequence[str], again: Sequence[str], restarts: int) -> in
     while True:
         begun = time.monotonic()
         words = [*command, *(again if supervision.used else ())]
-        child = subprocess.Popen(words, stdin=subprocess.DEVNULL, start_new_session=True)
-        code, asked = _watch(child, signals)
+        code, asked = _start(words, signals)
         if asked:
             return exit_code(code)
         lived = time.monotonic() - begun
@@ -119,6 +118,16 @@ def supervise(command: Sequence[str], again: Sequence[str], restarts: int) -> in
             return exit_code(code)
         if (number := signals.next_request(pause)) is not None:
             return 128 + number  # nothing runs, and nothing will
+
+
+def _start(words: Sequence[str], signals: Signals) -> tuple[int, bool]:
+    """As `_watch`; a machine that has no room for a process now has failed like a learner."""
+    try:
+        child = subprocess.Popen(words, stdin=subprocess.DEVNULL, start_new_session=True)
+    except OSError as error:
+        sys.stderr.write(f"supervisor: the learner cannot be started: {error}\n")
+        return 1, False
+    return _watch(child, signals)
 
 
 def _watch(child: subprocess.Popen[bytes], signals: Signals) -> tuple[int, bool]:

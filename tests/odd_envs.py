@@ -10,6 +10,9 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+SECONDS_PER_STEP = float(os.environ.get("ODD_SECONDS_PER_STEP", "0"))
+"""Of this process: workers with different ones are differently fast."""
+
 
 class Walk(gymnasium.Env[Any, Any]):
     """Two numbers to see, two actions, episodes of 16 steps; goes wrong in the 11th, if at all."""
@@ -34,6 +37,7 @@ class Walk(gymnasium.Env[Any, Any]):
         return np.zeros(2, np.float32), {}
 
     def step(self, action: Any) -> Any:
+        time.sleep(SECONDS_PER_STEP)
         self._steps += 1
         obs = np.array([self._steps / 16, float(np.sum(action))], np.float32)
         self._left -= 1

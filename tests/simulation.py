@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from safetensors.numpy import save
 
 from dppo.sums import aligned_blocks, members, sum_rows
 from dppo.wire import messages as wire
@@ -33,6 +34,10 @@ def gradient_of(slot, iteration, round_, parameters):
     return np.array([slot + 8 * iteration + 64 * round_, 1], np.float32) + np.round(
         parameters % 97
     )
+
+
+def snapshot_of(slot, iteration):
+    return save({"at": np.array([slot, iteration])})
 
 
 @dataclass
@@ -105,7 +110,7 @@ class Worker:
                 wire.Collected, generation=1, iteration=task.iteration, round=0, slot=slot,
                 obs=np.zeros(1 + 2 * OBS), returns=one, advantages=np.zeros(7), fit=np.zeros(7),
                 sigma_target=one, start_sigma=one, episodes=np.zeros(0), exact=True,
-                snapshot=f"{slot} {task.iteration + 1}".encode(),
+                snapshot=snapshot_of(slot, task.iteration + 1),
             )  # fmt: skip
 
     def answer(self, task):

@@ -7,6 +7,7 @@ Its clock only moves in silences.
 from dataclasses import replace
 
 import numpy as np
+from safetensors.numpy import save
 
 from dppo.deadlines import Deadlines
 from dppo.leases import Leases
@@ -17,6 +18,7 @@ from learner.exchange import Exchange
 from learner.soundness import Expected
 
 SLOTS, PARAMETERS, OBS, SAMPLES, ALL = 4, 3, 2, 64, (0, 1, 2, 3)
+AFTER = save({"state": np.arange(3.0)})
 CATCHING_UP = ["Restore 0", "Restore 1", "Collect (0, 1)", "Update (0, 1)"]
 BEFORE = dict.fromkeys(ALL, b"before")
 ONES = np.ones(PARAMETERS, np.float32)
@@ -33,7 +35,7 @@ ALIVE = wire.Alive(worker="", generation=7, done=0)
 COLLECTED = wire.Collected(
     worker="", generation=7, iteration=1, round=0, slot=0, obs=np.zeros(1 + 2 * OBS),
     returns=np.zeros(3), advantages=np.zeros(7), fit=np.zeros(7), sigma_target=np.zeros(3),
-    start_sigma=np.zeros(3), episodes=np.zeros(0), exact=True, snapshot=b"after",
+    start_sigma=np.zeros(3), episodes=np.zeros(0), exact=True, snapshot=AFTER,
 )  # fmt: skip
 GRADIENT = wire.Gradient(
     worker="", generation=7, iteration=1, round=1, first=0, size=1, stopped=(), vector=ONES,

@@ -21,6 +21,7 @@ from dppo.errors import UsageError
 from dppo.spaces import Spaces
 from workers import four_rooms
 from workers.generic_vec import GenericVec
+from workers.heart import beat
 from workers.kinds import kind_of
 from workers.mujoco_vec import MujocoVec
 
@@ -41,6 +42,7 @@ def make_env(config: RunConfig) -> Env:
     Raises:
         UsageError: unknown id (with near names), wrong keyword arguments, missing packages.
     """
+    beat()  # many may take long
     four_rooms.register()
     known = sorted(gymnasium.registry)
     name = config.env.rpartition(":")[2]

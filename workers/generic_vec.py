@@ -41,6 +41,7 @@ class _Watched(gymnasium.Wrapper[Any, Any, Any, Any]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """As the environment's."""
+        beat()
         if seed is not None:
             self.seed, self.actions, self.resets = seed, [], []
         elif self._remember:

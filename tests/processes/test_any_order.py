@@ -15,7 +15,7 @@ from dppo.sums import block_sum, members, whole
 from dppo.wire import messages as wire
 from learner.exchange import Exchange
 from learner.soundness import Expected
-from tests.simulation import ALL, OBS, SAMPLES, SIZE, SLOTS, World, gradient_of
+from tests.simulation import ALL, OBS, SAMPLES, SIZE, SLOTS, World, gradient_of, snapshot_of
 
 ITERATIONS, UPDATES = 3, 2
 
@@ -63,7 +63,7 @@ def run(choices, drop=0):
         collected: Any = exchange.gather(collect, SLOTS).answers
         assert sorted(collected) == [(slot, 1) for slot in ALL]
         for (slot, _), answer in collected.items():
-            assert answer.snapshot == f"{slot} {iteration + 1}".encode()
+            assert answer.snapshot == snapshot_of(slot, iteration + 1)
         for update in range(1, 1 + UPDATES) if iteration else ():
             task = wire.Update(
                 **where, round=update, stopped=(), parameters=parameters, advantages=np.zeros(7)

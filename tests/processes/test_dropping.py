@@ -118,3 +118,13 @@ def test_a_slot_that_was_dropped_as_often_as_it_may_be_is_waited_for():
     assert (closed.missing, closed.required) == ((), {2, 3})
     one.gradient(0, 2, round=7)
     assert story.update(7, 2).missing == (2, 3)
+
+
+def test_a_block_of_more_slots_than_there_are_is_ignored_in_no_time():
+    story = SlowStory()
+    one, two = story.players
+    one.gradient(0, 1 << 62)
+    one.gradient(1 << 62, 1 << 62)
+    one.gradient(0, 2)
+    two.gradient(2, 2)
+    assert sorted(story.update(1, 0).answers) == [(0, 2), (2, 2)]

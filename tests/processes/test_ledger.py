@@ -23,6 +23,7 @@ from dppo.store.ledger import (
 )
 from dppo.wire.messages import Collected
 from learner.disk import Disk
+from learner.dropping import Accounts
 from learner.ledger import Ledger
 from learner.replay import Original
 from learner.runlog import RunLog
@@ -101,8 +102,10 @@ def test_a_resumed_run_cuts_its_ledger_to_the_iterations_that_count(tmp_path):
     lines = [replace(line, iteration=k) for k in range(4) for line in (UPDATE, LATE, DONE)]
     file = tmp_path / "ledger.jsonl"
     file.write_text("".join(to_json(line) + "\n" for line in lines) + '{"iter')
-    log = RunLog(tmp_path, 2, Disk(tmp_path, "the run's logs"))  # iterations 0 and 1 are done
-    assert log.noted == lines[:6]
+    noted: list[Line] = []
+    disk = Disk(tmp_path, "the run's logs")
+    log = RunLog(tmp_path, 2, disk, noted.append)  # iterations 0 and 1 are done
+    assert noted == lines[:6]
     log.note(replace(DONE, iteration=2))
     log.close()
     assert read_ledger(file) == [*lines[:6], replace(DONE, iteration=2)]
@@ -111,9 +114,9 @@ def test_a_resumed_run_cuts_its_ledger_to_the_iterations_that_count(tmp_path):
 def test_a_damaged_line_does_not_keep_a_run_from_going_on(tmp_path, caplog):
     torn = to_json(UPDATE).replace("dropped", "dripped")
     (tmp_path / "ledger.jsonl").write_text(f"{torn}\n{to_json(DONE)}\n")
-    log = RunLog(tmp_path, 5, Disk(tmp_path, "the run's logs"))
-    log.close()
-    assert log.noted == [DONE]
+    noted: list[Line] = []
+    RunLog(tmp_path, 5, Disk(tmp_path, "the run's logs"), noted.append).close()
+    assert noted == [DONE]
     assert "left out of the accounts of dropping, a line of ledger.jsonl: found" in caplog.text
 
 
@@ -171,7 +174,7 @@ def test_a_resumed_run_does_not_forget_how_often_a_slot_was_dropped_running():
     deadlines = Deadlines(4, drop_limit=2)
     once, twice = replace(UPDATE, dropped=(1,)), replace(UPDATE, dropped=(1, 2))
     before: list[Line] = [once, twice, DONE]
-    Ledger(CONFIG.rollout, print, deadlines, before)
+    Ledger(CONFIG.rollout, print, deadlines, Accounts.of(4, before))
     round_ = closed(0)
     deadlines.open(round_, 0.0)
     assert round_.required == {1}

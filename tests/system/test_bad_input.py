@@ -36,6 +36,7 @@ def refuses(process, *words):
             ["--listen", "tcp/127.0.0.1:port", "--insecure"],
             ["--listen is 'tcp/127.0.0.1:port', expected an address"],
         ),
+        (["--name", "../../run"], ["--name is '../../run', expected no '/'"]),
         (["--listen", "tcp/0.0.0.0:7447"], ["without encryption", "--insecure"]),
     ],
     ids=lambda value: " ".join(value) if isinstance(value[0], str) else None,

@@ -52,6 +52,14 @@ def test_a_partitioned_worker_is_given_up_and_comes_back(tmp_path, kind):
     assert re.search(r"worker w0-\S+ joined", log[left.end() :])
 
 
+def test_a_worker_that_dies_behind_a_partition_is_given_up(tmp_path):
+    """A half-open connection: nothing tells the learner that the other end is gone."""
+    log = Case(tmp_path, 100).costs_no_bits(
+        Fault(3, "partition", "w0", 4.0), Fault(3, "kill-worker", "w0")
+    )
+    assert re.search(r"worker w0-\S+ left: (its connection is gone|it was given up)", log)
+
+
 def test_a_partition_of_all_workers_stops_the_run_and_no_longer_than_it_lasts(tmp_path):
     log = Case(tmp_path, 40).costs_no_bits(
         Fault(3, "partition", "w0", 4.0), Fault(3, "partition", "w1", 4.0)

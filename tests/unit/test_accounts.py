@@ -104,7 +104,7 @@ def test_the_one_pass_correlation_is_that_of_numpy(pairs):
 def test_a_resumed_run_goes_on_with_the_accounts_of_its_ledger_and_warns(caplog):
     before = [update(1)] * (RECENT - 1)
     whole: list[object] = []
-    ledger = Ledger(RolloutConfig(slots=2, drop=1), whole.append, before=before)
+    ledger = Ledger(RolloutConfig(slots=2, drop=1), whole.append, accounts=Accounts.of(2, before))
     assert ledger.accounts.running == [0, RECENT - 1]
     with caplog.at_level(logging.WARNING, "learner"):
         ledger._note(update(1))

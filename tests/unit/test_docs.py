@@ -55,3 +55,41 @@ def test_every_flag_in_the_readme_tables_is_in_the_learner_help():
     in_tables = flags_in_tables(ROOT / "README.md")
     assert {"--psi", "--seed", "--slots"} <= in_tables
     assert in_tables - in_help == set()
+
+
+RELIABILITY = ROOT / "docs" / "reliability.md"
+TEST_NAME = re.compile(r"`(\w+)/(test_\w+)::(test_\w+)`")
+"""Folder and file below tests/, and the function."""
+UNTESTED = [39]
+"""Scenarios with a reason in place of a test: there are no certificates yet."""
+
+
+def test_every_test_that_a_promise_rests_on_exists():
+    named = sorted(set(TEST_NAME.findall(prose(RELIABILITY))))
+    assert len(named) > 80
+    missing = []
+    for folder, file, test in named:
+        path = ROOT / "tests" / folder / f"{file}.py"
+        if not path.exists() or f"\ndef {test}(" not in path.read_text():
+            missing.append(f"{folder}/{file}::{test}")
+    assert missing == []
+
+
+def test_every_mention_of_a_test_is_in_the_form_that_is_looked_up():
+    text = prose(RELIABILITY)
+    assert text.count("::test_") == len(TEST_NAME.findall(text))
+
+
+def test_every_fault_scenario_has_its_line_with_a_test():
+    lines = re.findall(r"^\| (\d+) \|(.*)\|$", prose(RELIABILITY), flags=re.MULTILINE)
+    assert [int(number) for number, _ in lines] == list(range(1, 52))
+    assert [int(number) for number, line in lines if not TEST_NAME.search(line)] == UNTESTED
+
+
+def test_every_flag_that_operators_are_told_of_exists():
+    told = flags_in_tables(RELIABILITY)
+    sources = (ROOT / "learner" / "__main__.py", ROOT / "workers" / "__main__.py")
+    words = "".join(path.read_text() for path in (*sources, ROOT / "dppo" / "settings.py"))
+    missing = [flag for flag in told if f"    {flag[2:].replace('-', '_')}: " not in words]
+    assert missing == []
+    assert {"--patience", "--drop", "--restarts"} <= told

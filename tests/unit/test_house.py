@@ -89,6 +89,37 @@ def test_packages_may_only_import_whom_they_may():
     assert "0 broken" in done.stdout
 
 
+CALENDARS = {
+    "dppo/chaos/command.py": 1,  # name of a new folder
+    "dppo/store/run_directory.py": 1,  # name of a new folder
+    "learner/runlog.py": 2,  # columns for people
+}
+"""Who asks what time of day it is, how often: nothing is decided by it."""
+
+
+def test_no_decision_looks_at_a_clock_that_may_be_set():
+    """Clocks of two hosts differ, and jump: durations come from clocks that only go on."""
+    wall = {"time", "time_ns", "localtime", "gmtime", "now", "today", "utcnow", "fromtimestamp"}
+    of_files = {"st_mtime", "st_mtime_ns", "st_ctime", "getmtime", "CLOCK_REALTIME"}
+    found = {
+        name: asked
+        for name, tree in TREES.items()
+        if name.startswith(PACKAGES)
+        if (asked := sum(_names(node, wall, of_files) for node in ast.walk(tree)))
+    }
+    assert found == CALENDARS
+
+
+def _names(node, wall, of_files):
+    """Does this node name a wall clock, or a file's time?"""
+    if isinstance(node, ast.ImportFrom):
+        return node.module == "time"
+    if not isinstance(node, ast.Attribute):
+        return False
+    owner = node.value.id if isinstance(node.value, ast.Name) else ""
+    return node.attr in of_files or (owner in {"time", "datetime", "date"} and node.attr in wall)
+
+
 ENTRY = re.compile(r"`([a-z_]\w*(?:\.\w+)*):([A-Za-z_]\w*(?:\.\w+)*)`")
 ALGORITHM = ROOT / "docs" / "algorithm.md"
 

@@ -1,12 +1,14 @@
 """What only a pair of sockets can do wrong, and what it does about it."""
 
 import os
+import socket
 import struct
 import time
 
 import numpy as np
 import pytest
 
+from dppo.wire.channel import Channel
 from dppo.wire.links import LearnerLost, Refused, WorkerLost
 from dppo.wire.memory_links import MemoryHub
 from dppo.wire.messages import Hello, Measure, Stop
@@ -83,6 +85,21 @@ def test_a_length_beyond_the_limits_ends_the_connection(learner):
     assert "bytes was announced, at most" in refused.reason
     assert next_message(learner) == WorkerLost("w1")
     inherited.close()
+
+
+@pytest.mark.parametrize("kept", [1, 11, 12, 40, -1])
+def test_half_a_message_is_no_message_and_its_end_is_told(learner, kept):
+    """What a worker leaves that is killed while it sends."""
+    ours, theirs = socket.socketpair()
+    message = b"".join(Channel(ours, None).pieces(measure(1000)))
+    assert len(message) > 4000
+    inherited = learner.adopt("w1")
+    inherited.end.sendall(b"".join(Channel(ours, None).pieces(HELLO)) + message[:kept])
+    inherited.close()
+    assert next_message(learner) == HELLO
+    assert next_message(learner) == WorkerLost("w1")
+    ours.close()
+    theirs.close()
 
 
 @pytest.mark.parametrize(("cell", "length"), [(7, 8), (0, 2 * CELL_BYTES), (-2, 8)])

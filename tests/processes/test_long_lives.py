@@ -1,4 +1,4 @@
-"""What the review of issue 5 found: each test fails until its finding is mended."""
+"""What a long life brings: many at once, many signs of life, long tasks, losses at bad moments."""
 
 import json
 import threading

@@ -1,0 +1,48 @@
+"""A worker whose every tenth gradient is a lie: finite, of the right length, and 1e30 large."""
+
+import logging
+import sys
+from dataclasses import replace
+
+import numpy as np
+
+from dppo.process import leave, one_thread, start_logging
+
+one_thread()
+
+from dppo.wire.messages import Gradient, ToLearner  # noqa: E402  after the threads
+from dppo.wire.zenoh_links import ZenohWorkerLink, open_connecting  # noqa: E402
+from workers.membership import Member, wait_for  # noqa: E402
+
+TRUE_ONES_BEFORE = 9
+
+
+class LyingLink(ZenohWorkerLink):
+    """Says what the worker says, and now and then something else."""
+
+    told = 0
+
+    def send(self, message: ToLearner) -> None:
+        """See `WorkerLink`."""
+        if isinstance(message, Gradient):
+            self.told += 1
+            if self.told % (TRUE_ONES_BEFORE + 1) == 0:
+                message = replace(message, vector=np.full_like(message.vector, 1e30))
+        super().send(message)
+
+
+def work(address: str) -> int:
+    """Serve one run."""
+
+    def connect() -> LyingLink | None:
+        session = open_connecting(address)
+        return None if session is None else LyingLink(session, "liar")
+
+    stop = Member("liar", wait_for(connect, address, 60.0), 60.0).live()
+    logging.getLogger("worker").info("%s", stop.reason)
+    return 0
+
+
+if __name__ == "__main__":
+    start_logging(verbose=True)
+    leave(lambda: work(sys.argv[1]))
