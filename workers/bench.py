@@ -5,9 +5,7 @@ MuJoCo's default options and the same actions: physics and nothing else.
 """
 
 import json
-import multiprocessing
 import os
-import queue
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
@@ -20,6 +18,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from dppo.children import answers, children
 from dppo.config import Config, RunConfig
 from dppo.errors import RunFailedError
 from dppo.process import THREAD_VARIABLES
@@ -130,7 +129,7 @@ def bench(env_id: str, seconds: float) -> Bench:
     spaces_of(env)
     speeds, ends = {}, Ends()
     for rows in _ROWS:
-        speeds[rows], ends = _stepped(env_id, rows, seconds)
+        speeds[rows], ends = stepped(env_id, rows, seconds)
     raw = _raw(env, ends)
     env.close()
     cores = len(os.sched_getaffinity(0))
@@ -147,7 +146,7 @@ def bench(env_id: str, seconds: float) -> Bench:
     )
 
 
-def _stepped(env_id: str, rows: int, seconds: float) -> tuple[float, Ends]:
+def stepped(env_id: str, rows: int, seconds: float) -> tuple[float, Ends]:
     """Speed of one vector environment; which rows ended after each of its steps."""
     vec = make_vec(env_id, rows, autoreset_mode=AutoresetMode.SAME_STEP)
     actions, ends = _actions(vec.single_action_space, rows), Ends()
@@ -205,28 +204,28 @@ def _on_all(cores: int, env_id: str, rows: int, seconds: float) -> float:
     Raises:
         RunFailedError: they did not answer.
     """
-    spawn = multiprocessing.get_context("spawn")
-    start, speeds = spawn.Barrier(cores), spawn.Queue()
-    target, words = _step_together, (env_id, rows, seconds, start, speeds)
-    processes = [spawn.Process(target=target, args=words, daemon=True) for _ in range(cores)]
-    for process in processes:
-        process.start()
-    try:
-        return float(sum(speeds.get(timeout=_WAIT_SECONDS + seconds) for _ in processes))
-    except queue.Empty as error:
-        raise RunFailedError(
-            f"{cores} processes were started to step {env_id}, and not all of them answered "
-            f"within {_WAIT_SECONDS + seconds:g} s; is there memory for all?"
-        ) from error
-    finally:
-        for process in processes:
-            process.kill()
-
-
-def _step_together(env_id: str, rows: int, seconds: float, start: Any, speeds: Any) -> None:  # noqa: ANN401
-    quiet()
-    start.wait(_WAIT_SECONDS)
-    speeds.put(_stepped(env_id, rows, seconds)[0])
+    task, patience = {"env_id": env_id, "rows": rows, "seconds": seconds}, _WAIT_SECONDS + seconds
+    ready, speeds = 0, 0.0
+    with children("workers.bench_process", [task] * cores) as started:
+        try:
+            for answer in answers(started, patience):
+                if "speed" in answer.facts:
+                    speeds += answer.facts["speed"]
+                    continue
+                ready += 1
+                for child in started if ready == cores else ():  # none steps alone
+                    child.go()
+        except TimeoutError as error:
+            raise RunFailedError(
+                f"{cores} processes were started to step {env_id}, and not all of them answered "
+                f"within {patience:g} s; is there memory for all?"
+            ) from error
+        except EOFError as error:
+            raise RunFailedError(
+                f"{cores} processes were started to step {env_id}, and one of them has died; is "
+                "there memory for all? If so, see what it printed above"
+            ) from error
+    return speeds
 
 
 def _quota(file: Path, cores: int) -> float:

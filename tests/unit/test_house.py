@@ -55,6 +55,20 @@ def test_nothing_imports_what_may_execute_a_file():
     assert {name: bad for name, bad in found.items() if bad} == {}
 
 
+def test_nothing_is_pickled_between_our_own_processes():
+    """Benchmarks and tests may; what users run does not."""
+    found = [
+        f"{name}:{node.lineno}"
+        for name, tree in TREES.items()
+        if name.startswith(tuple(f"{package}/" for package in PACKAGES))
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        if {"multiprocessing", "_pickle"} & set(imported(node))
+        or any(alias.name == "ProcessPoolExecutor" for alias in node.names)
+    ]
+    assert found == []
+
+
 def test_no_array_is_loaded_with_leave_to_execute():
     found = [
         f"{name}:{node.value.lineno}"
