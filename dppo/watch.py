@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 
 from dppo.patience import Patience
 
+_MOSTLY = 0.9
+"""A silence is most of a standstill, unless signs of life came in it: two come in a second."""
 _AGAIN = 2.0
 """What ended well once may take so many times as long."""
 _FORGOTTEN = 0.999
@@ -85,6 +87,6 @@ class Watch:
     def describe(self, worker: str, now: float) -> str:
         """A silence in words: is the process quiet, or does it live and hang?"""
         signs = self._signs.setdefault(worker, _Signs(-1, now, now))
-        if now - signs.heard > 0.5 * (now - signs.moved):
+        if now - signs.heard > _MOSTLY * (now - signs.moved):
             return f"silent for {now - signs.heard:.1f} s"
         return f"alive but without progress for {now - signs.moved:.1f} s"

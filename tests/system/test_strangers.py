@@ -173,8 +173,8 @@ def test_a_worker_that_lies_is_benched_and_its_lies_reach_no_parameter(harness, 
     assert honest.wait() == 0, honest.text
     assert liar.wait() == 0, liar.text
     assert "with gradient per sample" in learner.text
-    assert "worker liar was refused again and again; it is sent away" in learner.text
-    assert "worker liar was refused again and again" in liar.text.splitlines()[-1]
+    assert ") was refused again and again; it is sent away" in learner.text
+    assert "was refused again and again" in liar.text.splitlines()[-1]
     assert result(run_dir)["parameters_sha256"] == undisturbed
 
 

@@ -22,6 +22,13 @@ def test_a_worker_stalls_when_it_owes_an_answer_and_its_count_stands_still():
     assert w.describe("a", 2.5) == "alive but without progress for 2.5 s"
 
 
+def test_a_worker_whose_last_sign_of_life_is_a_little_late_is_not_called_silent():
+    w = watch(first=1.0)
+    for now in (0.0, 0.5):
+        w.hear("a", now, done=7)
+    assert w.describe("a", 1.1) == "alive but without progress for 1.1 s"
+
+
 def test_a_worker_of_which_nothing_is_heard_stalls_sooner_than_one_that_lives():
     w = watch(first=60.0)
     w.hear("a", 0.0, done=1)
