@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from safetensors.numpy import save
 
 from dppo.config import Config, RolloutConfig, SafetyConfig
 from dppo.gradients import Sums
@@ -30,7 +31,7 @@ from dppo.wire.messages import (
 )
 
 SPACES = Spaces(obs_size=27, action_kind="box", action_sizes=(8,))
-_SNAPSHOT = bytes(50_000)
+_SNAPSHOT = save({"state": np.zeros(50_000, np.uint8)})
 """As long as the two environments of a slot."""
 
 

@@ -27,6 +27,7 @@ from dppo.chaos.progress import Progress, median_seconds
 from dppo.errors import RunFailedError
 
 _LOOK_SECONDS = 0.01
+_LAST_LOOKS = 5
 _SAMPLE_SECONDS = 1.0
 _END_SECONDS = 3.0
 """How long everybody has to end once the run is over, and again once told to."""
@@ -84,8 +85,10 @@ class Drill:
             self._see_off(cast)
             self._conclude(cast)
         finally:
-            for handle in marked(self._mark):
-                handle.send(signal.SIGKILL)
+            for _ in range(_LAST_LOOKS):  # one that was just being started shows its mark late
+                for handle in marked(self._mark):
+                    handle.send(signal.SIGKILL)
+                time.sleep(_LOOK_SECONDS)
             if self._cast is not None:
                 self._cast.close()
         return self._outcome
