@@ -20,7 +20,7 @@ _LOOK_SECONDS = 0.25
 _TOLD_SECONDS = 3.0
 """How often somebody unknown is told to join anew; it may hang, and not hear it."""
 _MOST_LOSSES = 30
-"""Holders that one slot may lose over one question."""
+"""Holders that one slot may lose over one question; one that joins anew counts once."""
 _MOST_STALLS = 5
 """Holders of one slot that may be given up over one question; each is waited for twice as long."""
 
@@ -42,7 +42,7 @@ class Members:
         self.roster, self.pace = Roster(), Pace()
         self._listened, self._listened_until = 0.0, clock()
         self._look_again = 0.0
-        self._losses: Counter[int] = Counter()
+        self._losses: dict[int, set[str]] = {}
         self._stalls: Counter[int] = Counter()
         self._known: set[type[Task]] = set()
         self._told: dict[str, float] = {}
@@ -164,8 +164,9 @@ class Members:
             self.pace.forget(worker)
         for worker in lost:
             log.info("worker %s left: %s; %d in the run", worker, why, len(self._leases.workers))
-        self._losses.update(held)
-        if any(self._losses[slot] > _MOST_LOSSES for slot in held):
+        for slot in held:
+            self._losses.setdefault(slot, set()).update(lost)
+        if any(len(self._losses[slot]) > _MOST_LOSSES for slot in held):
             raise RunFailedError(
                 f"slots {listed(held)} have lost more than {_MOST_LOSSES} workers in a row, the "
                 f"last one was {gone[-1]}: {why}; see what the workers printed"

@@ -34,6 +34,8 @@ from workers.worker import OutOfStepError, Worker
 
 log = logging.getLogger("worker")
 _FIRST_WAIT, _LONGEST_WAIT = 0.1, 2.0
+_SHORT_SECONDS = 1.0
+"""A membership that was as short as this is followed by a pause."""
 _REMARK_SECONDS = 10.0
 
 
@@ -77,10 +79,12 @@ class Member:
 
     def live(self) -> Stop:
         """Join and work, again and again, until a learner says that the run is over."""
+        pauses = Backoff(_FIRST_WAIT, _LONGEST_WAIT)
         while True:
             welcome = self._join()
             if isinstance(welcome, Stop):
                 return welcome
+            joined = time.monotonic()
             self._served[welcome.run] = welcome.generation
             log.info("joined run %s (generation %d)", welcome.name, welcome.generation)
             stop = self._serve(welcome)
@@ -90,6 +94,10 @@ class Member:
             if stop is not None and stop.final:
                 return stop
             log.info("%s; waiting for the next learner", stop.reason if stop else "learner lost")
+            if time.monotonic() - joined > _SHORT_SECONDS:
+                pauses.again()
+            else:  # something is wrong with the link or with us: do not keep the learner busy
+                time.sleep(pauses.next())
 
     def _join(self) -> Welcome | Stop:
         """Say Hello until a Welcome comes, or the word that the run is over."""
