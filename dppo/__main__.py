@@ -8,40 +8,13 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from dppo.settings import require
-
-if TYPE_CHECKING:
-    from dppo.store.checkpoint import Checkpoint
 
 _USAGE = (
     "usage: dppo {eval,checkpoint,replay} RUN [options], or dppo {four-rooms,bench,chaos} "
     "[options]; --help after one of these says more"
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvalArgs:
-    """Evaluate a run's policy: mean, spread and tail of its returns."""
-
-    run: str
-    """Run directory, or one checkpoint folder in it."""
-    episodes: int = 20
-    """Episodes, each from its own start state [count]."""
-    deterministic: bool = False
-    """Take the most likely action instead of sampling."""
-    which: str = "best"
-    """best, newest, or a checkpoint's name such as iteration-00000040."""
-    seed: int = 0
-    """Of start states and actions."""
-    json: bool = False
-    """Print JSON with every episode."""
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be run."""
-        require(self.episodes >= 1, "episodes", self.episodes, ">= 1")
-        require(0 <= self.seed < 2**63, "seed", self.seed, "0 <= seed < 2**63")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +76,9 @@ def _command(words: list[str]) -> int:
     start_logging(False)
     match words:
         case ["eval", *rest]:
-            return _eval(parse(EvalArgs, _run_first(rest), "dppo eval"))
+            from workers.commands import evaluation
+
+            return evaluation.run(parse(evaluation.EvalArgs, _run_first(rest), "dppo eval"))
         case ["checkpoint", *rest]:
             return _checkpoint(parse(CheckpointArgs, _run_first(rest), "dppo checkpoint"))
         case ["replay", *rest]:
@@ -136,33 +111,13 @@ def _run_first(words: list[str]) -> list[str]:
     return ["--run", *words] if words and not words[0].startswith("-") else words
 
 
-def _eval(args: EvalArgs) -> int:
-    from workers.envs import quiet
-    from workers.evaluate import evaluate
-
-    quiet()
-    path, checkpoint = _load(args.run, args.which)
-    result = evaluate(
-        checkpoint, episodes=args.episodes, deterministic=args.deterministic, seed=args.seed
-    )
-    if args.json:
-        print(result.to_json())
-        return 0
-    facts = checkpoint.facts
-    manner = "most likely actions" if args.deterministic else "sampled actions"
-    print(f"{facts['config']['run']['env']}, {path.name}, {facts['env_steps']:,} steps, {manner}")
-    for name, value in result.summary().items():
-        print(f"{name:14} {value:.6g}")
-    return 0
-
-
 def _checkpoint(args: CheckpointArgs) -> int:
     from dppo.config import Config
     from dppo.networks import Networks
     from dppo.store.checkpoint import sha256
-    from dppo.store.contents import spaces_in
+    from dppo.store.contents import chosen, spaces_in
 
-    path, checkpoint = _load(args.run, args.which)
+    path, checkpoint = chosen(args.run, args.which)
     facts = checkpoint.facts
     parameters = checkpoint.arrays["parameters"]
     parts = Networks.build(spaces_in(checkpoint), Config.from_dict(facts["config"])).parts
@@ -218,33 +173,6 @@ def _bench(args: BenchArgs) -> int:
     for sentence in found.advice():
         print(f"- {sentence}")
     return 0
-
-
-def _load(run: str, which: str) -> "tuple[Path, Checkpoint]":
-    """The checkpoint that was asked for.
-
-    Raises:
-        UsageError: there is none; says what was looked for and what is there.
-    """
-    from dppo.errors import CheckpointError, UsageError
-    from dppo.store.checkpoint import best_name, load_checkpoint, names
-
-    path = Path(run)
-    if not (path / "manifest.json").exists():
-        folder = path / "checkpoints"
-        found = names(folder)
-        if not found:
-            raise UsageError(
-                f"{run} holds no checkpoint; expected a run directory of dppo-learner"
-            )
-        name = {"best": best_name(folder) or found[-1], "newest": found[-1]}.get(which, which)
-        if name not in found:
-            raise UsageError(f"--which is {which}, expected best, newest, or {', '.join(found)}")
-        path = folder / name
-    try:
-        return path, load_checkpoint(path)
-    except CheckpointError as error:
-        raise UsageError(f"{error}; choose another one with --which") from error
 
 
 if __name__ == "__main__":

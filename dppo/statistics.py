@@ -1,10 +1,48 @@
-"""Figures of sets of returns."""
+"""Figures of sets of returns, and how far they are to be trusted."""
+
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
+Float64 = NDArray[np.float64]
+Measure = Callable[[Float64], Float64]
+"""A figure of each row of values [..., N]."""
+RESAMPLES = 2000
+_AT_ONCE = 1_000_000
+"""Numbers drawn at a time: 8 MB."""
 
-def cvar(returns: NDArray[np.float64], fraction: float = 0.1) -> float:
+
+def tail_mean(values: Float64, fraction: float = 0.1) -> Float64:
+    """[...] mean of the worst `fraction` of values [..., N], of at least one."""
+    count = max(1, int(np.ceil(fraction * values.shape[-1])))
+    mean: Float64 = np.sort(values, axis=-1)[..., :count].mean(axis=-1)
+    return mean
+
+
+def cvar(returns: Float64, fraction: float = 0.1) -> float:
     """Conditional value at risk: mean of the worst `fraction` of the returns, of at least one."""
-    worst = np.sort(returns)[: max(1, int(np.ceil(fraction * len(returns))))]
-    return float(worst.mean())
+    return float(tail_mean(returns, fraction))
+
+
+def intervals(
+    values: Float64, measures: Mapping[str, Measure], rng: np.random.Generator
+) -> dict[str, tuple[float, float]]:
+    """95 % bootstrap intervals of some figures of the same values [N] or [N, F].
+
+    The percentile method: figures of 2000 samples of N values, drawn with replacement, lie between
+    these bounds in 95 of 100 cases. All figures are of the same samples. N is the first axis; a
+    measure gets [..., N], or [..., F, N].
+    """
+    count = len(values)
+    rows = max(1, _AT_ONCE // max(1, values.size))
+    found: dict[str, list[Float64]] = {name: [] for name in measures}
+    for first in range(0, RESAMPLES, rows):
+        drawn = rng.integers(count, size=(min(rows, RESAMPLES - first), count))
+        sample = np.moveaxis(values[drawn], 1, -1)
+        for name, measure in measures.items():
+            found[name].append(measure(sample))
+    bounds = {
+        name: np.quantile(np.concatenate(parts), (0.025, 0.975)) for name, parts in found.items()
+    }
+    return {name: (float(low), float(high)) for name, (low, high) in bounds.items()}

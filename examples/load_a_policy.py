@@ -11,8 +11,8 @@ from pathlib import Path
 
 from dppo.config import Config
 from dppo.store.checkpoint import best_name, load_checkpoint, names
-from workers.envs import Adapter, make_env, quiet
-from workers.evaluate import FrozenPolicy
+from workers.envs import Adapter, make_env, quiet, spaces_of
+from workers.policy import FrozenPolicy
 
 
 def main(run: Path) -> None:
@@ -25,7 +25,7 @@ def main(run: Path) -> None:
     checkpoint = load_checkpoint(folder / name)  # verifies its checksums
 
     env = make_env(Config.from_dict(checkpoint.facts["config"]).run)
-    policy = FrozenPolicy(checkpoint, env)
+    policy = FrozenPolicy(checkpoint, spaces_of(env))
     adapter = Adapter(env.observation_space, env.action_space)
     print(f"{name} of {run}: trained for {checkpoint.facts['env_steps']} steps")
 

@@ -1,127 +1,150 @@
 """Returns of a frozen policy: what `dppo eval` prints."""
 
 import json
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dppo.config import Config
-from dppo.distributions import distribution_of
-from dppo.errors import RunFailedError, UsageError
-from dppo.networks import Networks
-from dppo.statistics import cvar
+from dppo.statistics import Measure, intervals, tail_mean
 from dppo.store.checkpoint import Checkpoint
-from dppo.store.contents import spaces_in, statistics_in
-from dppo.streams import reset_seed, stream
-from workers.envs import Adapter, Env, make_env, spaces_of
+from dppo.streams import stream
+from workers.envs import make_env, spaces_of
+from workers.play import ROWS, Episode, Plan, Start, play
+from workers.policy import FrozenPolicy
 
-_EVALUATION_SLOT = 2**31
-"""No slot of a training run has this number, so no start state is shared with training."""
+Float64 = NDArray[np.float64]
+_BOOTSTRAP = 1
+"""Second index of the stream that intervals are drawn from; see `workers.play.Plan.noise`."""
+_MEASURES: dict[str, Measure] = {
+    "mean": lambda values: values.mean(axis=-1),
+    "std": lambda values: values.std(axis=-1),
+    "median": lambda values: np.asarray(np.median(values, axis=-1)),
+    "cvar10": tail_mean,
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluation:
-    """Undiscounted returns of a policy over several episodes."""
+    """Episodes of one policy, free starts first, each kind in order."""
 
-    returns: tuple[float, ...]
-    lengths: tuple[int, ...]
+    episodes: tuple[Episode, ...]
+    seed: int
 
-    def summary(self) -> dict[str, float]:
-        """Mean, spread and tail."""
-        returns = np.array(self.returns)
+    def starts(self) -> list[Start]:
+        """The kinds of starts there are."""
+        return list(dict.fromkeys(episode.plan.start for episode in self.episodes))
+
+    def summary(self, start: Start) -> dict[str, Any]:
+        """Mean, spread and tail of the episodes with this start, with 95 % bootstrap intervals."""
+        chosen = [episode for episode in self.episodes if episode.plan.start == start]
+        found: dict[str, Any] = {"episodes": len(chosen)}
+        for name, values in (
+            ("return", np.array([episode.total for episode in chosen])),
+            ("discounted", np.array([episode.discounted for episode in chosen])),
+        ):
+            found |= self._figures(name, values, _MEASURES)
+            found |= {f"{name}_min": float(values.min()), f"{name}_max": float(values.max())}
+        share = {"": _MEASURES["mean"]}
+        for name, values in (
+            ("falls", np.array([float(episode.terminated) for episode in chosen])),
+            ("length_mean", np.array([float(episode.length) for episode in chosen])),
+        ):
+            found |= self._figures(name, values, share)
+        return found
+
+    def _figures(
+        self, name: str, values: Float64, measures: dict[str, Measure]
+    ) -> dict[str, float | list[float]]:
+        rng = stream(self.seed, "evaluation", 0, 0, _BOOTSTRAP)
+        found: dict[str, float | list[float]] = {}
+        for measure, bounds in intervals(values, measures, rng).items():
+            key = f"{name}_{measure}" if measure else name
+            found |= {key: float(measures[measure](values)), f"{key}_interval": list(bounds)}
+        return found
+
+    def to_dict(self) -> dict[str, Any]:
+        """Summaries and every episode."""
         return {
-            "episodes": len(returns),
-            "return_mean": float(returns.mean()),
-            "return_std": float(returns.std()),
-            "return_cvar10": cvar(returns),
-            "return_min": float(returns.min()),
-            "return_max": float(returns.max()),
-            "length_mean": float(np.mean(self.lengths)),
+            "summary": {start: self.summary(start) for start in self.starts()},
+            "episodes": [
+                {
+                    "start": episode.plan.start,
+                    "place": episode.plan.place,
+                    "reset_seed": episode.plan.reset_seed,
+                    "return": episode.total,
+                    "discounted_return": episode.discounted,
+                    "length": episode.length,
+                    "terminated": episode.terminated,
+                }
+                for episode in self.episodes
+            ],
         }
 
-    def to_json(self) -> str:
-        """Summary and every episode."""
-        return json.dumps(self.summary() | asdict(self), indent=2)
+    def to_json(self, facts: dict[str, Any]) -> str:
+        """`to_dict`, with facts in front of it."""
+        return json.dumps(facts | self.to_dict(), indent=2)
+
+    def lines(self) -> list[str]:
+        """The summaries, for people."""
+        lines = []
+        for start in self.starts():
+            summary = self.summary(start)
+            kind = "free starts" if start == "free" else "the same start"
+            lines.append(f"{summary.pop('episodes')} episodes, {kind}; [95 % interval]")
+            for name, value in summary.items():
+                if name.endswith("_interval"):
+                    continue
+                bounds = summary.get(f"{name}_interval")
+                interval = "" if bounds is None else f"  [{bounds[0]:.6g}, {bounds[1]:.6g}]"
+                lines.append(f"  {name:18} {value:<12.6g}{interval}".rstrip())
+        return lines
 
 
-class FrozenPolicy:
-    """A checkpoint's policy with its normaliser: observations in, actions out."""
+def policy_of(checkpoint: Checkpoint) -> FrozenPolicy:
+    """The checkpoint's policy, for the environment of its run."""
+    env = make_env(Config.from_dict(checkpoint.facts["config"]).run)
+    spaces = spaces_of(env)
+    env.close()
+    return FrozenPolicy(checkpoint, spaces)
 
-    def __init__(self, checkpoint: Checkpoint, env: Env) -> None:
-        self.config = Config.from_dict(checkpoint.facts["config"])
-        spaces = spaces_of(env)
-        trained = spaces_in(checkpoint)
-        if trained.obs_size != spaces.obs_size:
-            raise UsageError(
-                f"the checkpoint's policy sees {trained.obs_size} numbers, the environment gives "
-                f"{spaces.obs_size}"
-            )
-        self._normalizer = statistics_in(checkpoint).obs_normalizer(self.config.rollout)
-        self._networks = Networks.build(spaces, self.config)
-        self._distribution = distribution_of(spaces)
-        self._policy, self._log_std = self._networks.split_policy(checkpoint.arrays["parameters"])
 
-    def act(
-        self, obs: NDArray[np.float64], step: int, rng: np.random.Generator | None
-    ) -> NDArray[np.float32]:
-        """[A] action for a raw observation [O]; the mode, or a sample if there is a generator.
-
-        Args:
-            obs: [O] flattened, not normalised.
-            step: steps of the episode so far, for policies with a time feature.
-            rng: source of the action's noise.
-        """
-        seen = self._normalizer(obs[None])
-        if self.config.rollout.time_limit == "time-feature":
-            seen = np.concatenate([seen, np.array([[0.001 * step]], np.float32)], axis=1)
-        output, _ = self._networks.policy.forward(self._policy, seen)
-        if rng is None:
-            return self._distribution.mode(output).reshape(-1)
-        noise = self._distribution.noise(rng, (1,))
-        return self._distribution.sample(output, self._log_std, noise).reshape(-1)
+def plans_of(seed: int, episodes: int, places: int, free: bool = True) -> list[Plan]:
+    """So many episodes of free starts, and so many from each of some fixed ones."""
+    plans = [Plan(seed, "free", 0, number) for number in range(episodes if free else 0)]
+    return plans + [
+        Plan(seed, "fixed", place, number) for place in range(places) for number in range(episodes)
+    ]
 
 
 def evaluate(
-    checkpoint: Checkpoint, *, episodes: int, deterministic: bool, seed: int
+    checkpoint: Checkpoint,
+    *,
+    episodes: int,
+    deterministic: bool,
+    seed: int,
+    places: int = 0,
+    rows: int = ROWS,
 ) -> Evaluation:
-    """Run the policy for some episodes, each from a start state of its own.
+    """Run the policy for some episodes. Equal arguments give equal returns, for any `rows`.
 
-    Equal arguments give equal returns.
+    Args:
+        checkpoint: of a run.
+        episodes: of each kind of start.
+        deterministic: take the most likely actions instead of samples.
+        seed: of start states, actions and the environments' own noise.
+        places: fixed start states; 0: only free ones.
+        rows: most environments side by side.
     """
-    env = make_env(Config.from_dict(checkpoint.facts["config"]).run)
-    policy = FrozenPolicy(checkpoint, env)
-    try:
-        results = [
-            _episode(policy, env, None if deterministic else rng, start)
-            for start, rng in _starts(seed, episodes)
-        ]
-    except Exception as error:  # an environment may raise anything
-        name = env.spec.id if env.spec else type(env).__name__
-        raise RunFailedError(f"{name} raised {type(error).__name__}: {error}") from error
-    env.close()
-    return Evaluation(tuple(score for score, _ in results), tuple(length for _, length in results))
+    plans = plans_of(seed, episodes, places)
+    played = play(policy_of(checkpoint), plans, deterministic=deterministic, rows=rows)
+    return Evaluation(in_order(plans, [episode for episode, _ in played]), seed)
 
 
-def _starts(seed: int, episodes: int) -> Iterator[tuple[int, np.random.Generator]]:
-    for episode in range(episodes):
-        yield (
-            reset_seed(seed, _EVALUATION_SLOT, 0, episode),
-            stream(seed, "evaluation", episode),
-        )
-
-
-def _episode(
-    policy: FrozenPolicy, env: Env, rng: np.random.Generator | None, start: int
-) -> tuple[float, int]:
-    """Return and length of one episode."""
-    adapter = Adapter(env.observation_space, env.action_space)
-    observation, _ = env.reset(seed=start)
-    score, steps, ended = 0.0, 0, False
-    while not ended:
-        action = policy.act(adapter.obs(observation), steps, rng)
-        observation, reward, terminated, truncated, _ = env.step(adapter.to_env(action))
-        score, steps = score + float(reward), steps + 1
-        ended = terminated or truncated
-    return score, steps
+def in_order(plans: Sequence[Plan], episodes: Sequence[Episode]) -> tuple[Episode, ...]:
+    """Episodes as they were planned, not as they ended."""
+    found = {episode.plan: episode for episode in episodes}
+    return tuple(found[plan] for plan in plans)

@@ -9,6 +9,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
@@ -122,6 +123,13 @@ class GenericVec(SyncVectorEnv):
             watched.exact = bool(arrays["exact"][0]) and np.array_equal(reached, arrays["obs"])
             self._env_obs[row] = watched.obs
             self._autoreset_envs[row] = bool(arrays["ended"][0])
+
+    def reseed(self, row: int, seed: int) -> None:
+        """Give a row another generator, without a reset: same state, other noise and resets.
+
+        Snapshots do not remember it: only for rows that are not moved.
+        """
+        self._rows[row].unwrapped.np_random, _ = seeding.np_random(seed)
 
     def is_exact(self, row: int) -> bool:
         """No move has changed what comes next in this row."""

@@ -148,6 +148,10 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
             for name, array in self._now.items():
                 array[row] = arrays[name].reshape(array.shape[1:])
 
+    def reseed(self, row: int, seed: int) -> None:
+        """Give a row another generator, without a reset: same state, other noise and resets."""
+        self._rngs[row], _ = seeding.np_random(seed)
+
     def is_exact(self, row: int) -> bool:
         """No move has changed what comes next in this row."""
         del row

@@ -1,10 +1,12 @@
 """What a run's checkpoint says, in the algorithm's own terms."""
 
-from dppo.errors import UsageError
+from pathlib import Path
+
+from dppo.errors import CheckpointError, UsageError
 from dppo.moments import Moments
 from dppo.normalizer import Statistics
 from dppo.spaces import Spaces
-from dppo.store.checkpoint import Checkpoint
+from dppo.store.checkpoint import Checkpoint, best_name, load_checkpoint, names
 
 
 def spaces_in(checkpoint: Checkpoint) -> Spaces:
@@ -22,6 +24,34 @@ def statistics_in(checkpoint: Checkpoint) -> Statistics:
             for name in ("obs", "returns", "sigma_target")
         )
     )
+
+
+def chosen(run: str, which: str) -> tuple[Path, Checkpoint]:
+    """The checkpoint that was asked for, and where it lies.
+
+    Args:
+        run: run directory, or one checkpoint folder in it.
+        which: best, newest, or a checkpoint's name.
+
+    Raises:
+        UsageError: there is none; says what was looked for and what is there.
+    """
+    path = Path(run)
+    if not (path / "manifest.json").exists():
+        folder = path / "checkpoints"
+        found = names(folder)
+        if not found:
+            raise UsageError(
+                f"{run} holds no checkpoint; expected a run directory of dppo-learner"
+            )
+        name = {"best": best_name(folder) or found[-1], "newest": found[-1]}.get(which, which)
+        if name not in found:
+            raise UsageError(f"--which is {which}, expected best, newest, or {', '.join(found)}")
+        path = folder / name
+    try:
+        return path, load_checkpoint(path)
+    except CheckpointError as error:
+        raise UsageError(f"{error}; choose another one with --which") from error
 
 
 SNAPSHOT_FORM = 2

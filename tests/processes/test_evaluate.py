@@ -1,26 +1,42 @@
 """A trained policy outside the trainer: NumPy, torch and the command line agree."""
 
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
+from dppo.errors import RunFailedError
 from dppo.store.checkpoint import load_checkpoint
 from dppo.torch_policy import PolicyModule
 from tests.support import SMALL, Harness, checkpoints
-from workers.envs import make_env
-from workers.evaluate import FrozenPolicy, evaluate
+from workers.envs import Adapter, make_env
+from workers.evaluate import evaluate, plans_of, policy_of
+from workers.play import play
+
+IDS = {"Walk-v0": "tests.odd_envs:Walk-v0"}
 
 
 @pytest.fixture(scope="module")
-def run_dir(tmp_path_factory):
+def runs(tmp_path_factory):
+    """A small run of an environment, trained when it is first asked for."""
     harness = Harness(tmp_path_factory.mktemp("train"))
-    run_dir = harness.folder / "run"
-    args = ("--env", "Hopper-v5", *SMALL, "--total-timesteps", "1536", "--local-workers", "1")
-    harness.train(*args, run_dir=run_dir)
-    return run_dir
+
+    def run(env_id):
+        run_dir = harness.folder / env_id
+        args = ("--env", IDS.get(env_id, env_id), *SMALL, "--total-timesteps", "1536")
+        if not run_dir.exists():
+            harness.train(*args, "--local-workers", "1", run_dir=run_dir)
+        return run_dir
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def run_dir(runs):
+    return runs("Hopper-v5")
 
 
 def newest(run_dir: Path):
@@ -37,7 +53,7 @@ def test_equal_arguments_give_equal_returns_and_other_seeds_others(run_dir):
 
 def test_the_torch_module_acts_like_the_trainer_policy(run_dir):
     checkpoint = newest(run_dir)
-    policy = FrozenPolicy(checkpoint, make_env(policy_config(checkpoint)))
+    policy = policy_of(checkpoint)
     module = PolicyModule.load(checkpoint, -0.2, 0.2)
     obs = np.random.default_rng(0).normal(size=(16, 11))
     expected = np.stack([policy.act(row, 0, None) for row in obs])
@@ -47,21 +63,112 @@ def test_the_torch_module_acts_like_the_trainer_policy(run_dir):
     assert np.abs(expected).max() > 0
 
 
-def policy_config(checkpoint):
-    from dppo.config import Config
+@pytest.mark.parametrize("env_id", ["Hopper-v5", "FourRooms-v0"])
+def test_results_do_not_depend_on_how_many_are_played_side_by_side(runs, env_id):
+    checkpoint = newest(runs(env_id))
+    play_all = partial(evaluate, checkpoint, deterministic=False, seed=3)
+    together = play_all(episodes=5, places=2)
+    assert len({episode.length for episode in together.episodes}) > 5
+    for rows in (1, 2, 7):
+        assert play_all(episodes=5, places=2, rows=rows) == together
+    assert play_all(episodes=3).episodes == together.episodes[:3]
 
-    return Config.from_dict(checkpoint.facts["config"]).run
+
+def test_an_episode_is_the_one_that_a_plain_loop_plays(run_dir):
+    policy = policy_of(newest(run_dir))
+    plans = plans_of(seed=1, episodes=4, places=0)
+    env = make_env(policy.config.run)
+    adapter = Adapter(env.observation_space, env.action_space)
+    found = {episode.plan: (episode, kept) for episode, kept in play(policy, plans, keep=True)}
+    for plan in plans:
+        episode, trajectory = found[plan]
+        rng, ended = plan.noise(), False
+        rewards: list[float] = []
+        obs, _ = env.reset(seed=plan.reset_seed)
+        seen = [obs]
+        while not ended:
+            action = policy.act(adapter.obs(obs), len(rewards), rng)
+            obs, reward, terminated, truncated, _ = env.step(adapter.to_env(action))
+            rewards.append(float(reward))
+            seen.append(obs)
+            ended = terminated or truncated
+        assert np.array_equal(trajectory.obs, np.array(seen))
+        assert trajectory.reward.tolist() == rewards
+        assert (episode.length, episode.terminated) == (len(rewards), terminated)
+        assert episode.total == pytest.approx(sum(rewards), rel=1e-12)
+        weights = 0.99 ** np.arange(len(rewards))
+        assert episode.discounted == pytest.approx(weights @ rewards, rel=1e-12)
 
 
-def test_dppo_eval_prints_mean_spread_and_tail(harness, run_dir):
-    process = harness.start("dppo", "eval", str(run_dir), "--episodes", "4", "--json")
+@pytest.mark.parametrize("env_id", ["Hopper-v5", "FourRooms-v0"])
+def test_episodes_of_a_fixed_start_share_it_and_nothing_else(runs, env_id):
+    policy = policy_of(newest(runs(env_id)))
+    plans = plans_of(seed=2, episodes=4, places=2, free=False)
+    found = {episode.plan: kept for episode, kept in play(policy, plans, keep=True)}
+    for place in (0, 1):
+        kept = [found[plan] for plan in plans if plan.place == place]
+        assert len({trajectory.obs[0].tobytes() for trajectory in kept}) == 1
+        assert len({trajectory.obs.tobytes() for trajectory in kept}) == 4
+    assert not np.array_equal(found[plans[0]].obs[0], found[plans[4]].obs[0])
+
+
+def test_the_environments_own_noise_differs_from_one_start(runs):
+    """The policy is deterministic here, and yet Four Rooms slips at other steps."""
+    policy = policy_of(newest(runs("FourRooms-v0")))
+    plans = plans_of(seed=2, episodes=3, places=1, free=False)
+    kept = [trajectory for _, trajectory in play(policy, plans, deterministic=True, keep=True)]
+    assert len({trajectory.obs.tobytes() for trajectory in kept}) == 3
+
+
+def test_a_failing_environment_ends_the_evaluation_with_its_reset_seed(runs):
+    run = runs("Walk-v0")
+    config = json.loads((run / "config.json").read_text())
+    assert config["config"]["run"]["env"] == "tests.odd_envs:Walk-v0"
+    checkpoint = newest(run)
+    checkpoint.facts["config"]["run"]["env"] = "tests.odd_envs:Raises-v0"
+    sentence = r"Raises-v0 raised RuntimeError: the arm fell off at step 10 .* reset seed \d+"
+    with pytest.raises(RunFailedError, match=sentence):
+        evaluate(checkpoint, episodes=2, deterministic=True, seed=0)
+
+
+def test_dppo_eval_prints_mean_spread_tail_falls_and_intervals(harness, run_dir):
+    words = ("--episodes", "12", "--fixed-start", "--json", "--rows", "5")
+    process = harness.start("dppo", "eval", str(run_dir), *words)
     assert process.wait() == 0, process.text
     printed = json.loads(process.text)
-    returns = np.array(printed["returns"])
-    assert printed["episodes"] == len(returns) == 4
-    assert printed["return_mean"] == pytest.approx(returns.mean())
-    assert printed["return_std"] == pytest.approx(returns.std())
-    assert printed["return_cvar10"] == returns.min()  # a tenth of 4 episodes: the worst one
+    assert [episode["start"] for episode in printed["episodes"]] == ["free"] * 12 + ["fixed"] * 12
+    assert len({episode["reset_seed"] for episode in printed["episodes"][12:]}) == 1
+    for start, episodes in (
+        ("free", printed["episodes"][:12]),
+        ("fixed", printed["episodes"][12:]),
+    ):
+        summary = printed["summary"][start]
+        returns = np.array([episode["return"] for episode in episodes])
+        discounted = np.array([episode["discounted_return"] for episode in episodes])
+        assert summary["episodes"] == 12
+        assert summary["return_mean"] == pytest.approx(returns.mean())
+        assert summary["return_std"] == pytest.approx(returns.std())
+        assert summary["return_median"] == pytest.approx(np.median(returns))
+        assert summary["return_cvar10"] == pytest.approx(np.sort(returns)[:2].mean())
+        assert summary["return_min"] == returns.min()
+        assert summary["discounted_mean"] == pytest.approx(discounted.mean())
+        assert summary["falls"] == np.mean([episode["terminated"] for episode in episodes]) == 1
+        assert summary["length_mean"] == np.mean([episode["length"] for episode in episodes])
+        low, high = summary["return_mean_interval"]
+        assert low < summary["return_mean"] < high
+    again = harness.start("dppo", "eval", str(run_dir), *words[:4], "--rows", "16")
+    assert again.wait() == 0
+    assert again.text == process.text
+
+
+def test_dppo_eval_prints_a_line_per_figure_for_people(harness, run_dir):
+    process = harness.start("dppo", "eval", str(run_dir), "--episodes", "3", "--deterministic")
+    assert process.wait() == 0, process.text
+    first, kinds, mean, *_ = process.text.splitlines()
+    assert first.startswith("Hopper-v5, iteration-")
+    assert first.endswith("most likely actions, gamma 0.99")
+    assert kinds == "3 episodes, free starts; [95 % interval]"
+    assert mean.startswith("  return_mean")
 
 
 def test_dppo_checkpoint_shows_hashes_and_contents(harness, run_dir):
@@ -81,6 +188,7 @@ def test_dppo_checkpoint_shows_hashes_and_contents(harness, run_dir):
         (["eval", "/nowhere"], "/nowhere holds no checkpoint"),
         (["eval", "{run}", "--which", "latest"], "--which is latest, expected best, newest"),
         (["eval", "{run}", "--episodes", "0"], "--episodes is 0, expected >= 1"),
+        (["eval", "{run}", "--rows", "0"], "--rows is 0, expected >= 1"),
         (["train"], "found train, expected eval, checkpoint, replay, four-rooms, bench or chaos"),
         ([], "found nothing, expected eval, checkpoint, replay, four-rooms, bench or chaos"),
     ],

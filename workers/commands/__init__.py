@@ -1,0 +1,1 @@
+"""The subcommands of `dppo` that need an environment: eval, export, video, watch."""

@@ -1,0 +1,69 @@
+"""A checkpoint's policy, frozen: raw observations in, actions out.
+
+Shape letters: n rows · O observation size · A action size · K numbers of noise per action.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dppo.config import Config
+from dppo.distributions import Distribution, distribution_of
+from dppo.errors import UsageError
+from dppo.networks import Networks
+from dppo.spaces import Spaces
+from dppo.store.checkpoint import Checkpoint
+from dppo.store.contents import spaces_in, statistics_in
+
+Float32 = NDArray[np.float32]
+Float64 = NDArray[np.float64]
+
+
+class FrozenPolicy:
+    """A checkpoint's policy with its normaliser."""
+
+    def __init__(self, checkpoint: Checkpoint, spaces: Spaces) -> None:
+        """`spaces`: of the environment that it is to act in.
+
+        Raises:
+            UsageError: the checkpoint was trained on other sizes.
+        """
+        self.config = Config.from_dict(checkpoint.facts["config"])
+        trained = spaces_in(checkpoint)
+        if trained != spaces:
+            raise UsageError(
+                f"the checkpoint's policy was trained on {trained}, the environment has {spaces}; "
+                "give the environment that it was trained on"
+            )
+        self.distribution: Distribution = distribution_of(spaces)
+        self._normalizer = statistics_in(checkpoint).obs_normalizer(self.config.rollout)
+        self._networks = Networks.build(spaces, self.config)
+        self._policy, self._log_std = self._networks.split_policy(checkpoint.arrays["parameters"])
+
+    def seen(self, obs: Float64, steps: NDArray[np.integer]) -> Float32:
+        """[n, O] what the networks see of raw observations, `steps` [n] after the start."""
+        seen = self._normalizer(obs)
+        if self.config.rollout.time_limit == "time-feature":
+            feature = (0.001 * steps[:, None]).astype(np.float32)
+            seen = np.concatenate([seen, feature], axis=1)
+        return seen
+
+    def actions(self, obs: Float64, steps: NDArray[np.integer], noise: Float32 | None) -> Float32:
+        """[n, A] actions for raw observations [n, O]: the most likely ones, or samples.
+
+        One matrix product per row: a row's bits do not depend on the rows beside it.
+
+        Args:
+            obs: [n, O] flattened, not normalised.
+            steps: [n] steps of the episodes so far, for policies with a time feature.
+            noise: [n, K] draws of `distribution.noise`; None: the most likely actions.
+        """
+        output, _ = self._networks.policy.forward(self._policy, self.seen(obs, steps)[:, None])
+        if noise is None:
+            return self.distribution.mode(output[:, 0])
+        return self.distribution.sample(output[:, 0], self._log_std, noise)
+
+    def act(self, obs: Float64, step: int, rng: np.random.Generator | None) -> Float32:
+        """[A] action for one raw observation [O]; a sample if there is a generator."""
+        noise = None if rng is None else self.distribution.noise(rng, (1,))
+        (action,) = self.actions(obs[None], np.array([step]), noise)
+        return np.asarray(action)
