@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from dppo.config import RunConfig
 from dppo.errors import UsageError
 from dppo.spaces import Spaces
-from workers import four_rooms
+from workers import four_rooms, hazards
 from workers.generic_vec import GenericVec
+from workers.hazardous_vec import HazardousVec
 from workers.heart import beat
 from workers.kinds import kind_of
 from workers.mujoco_vec import MujocoVec
@@ -32,6 +33,7 @@ _TRANSPARENT = (
     gymnasium.wrappers.TimeLimit,
     gymnasium.wrappers.OrderEnforcing,
     gymnasium.wrappers.PassiveEnvChecker,
+    hazards.Hazardous,
 )
 """Wrappers whose whole state a snapshot holds."""
 
@@ -43,7 +45,7 @@ def make_env(config: RunConfig) -> Env:
         UsageError: unknown id (with near names), wrong keyword arguments, missing packages.
     """
     beat()  # many may take long
-    four_rooms.register()
+    _register()
     known = sorted(gymnasium.registry)
     name = config.env.rpartition(":")[2]
     if ":" not in config.env and name not in known:
@@ -131,14 +133,23 @@ def _vec(
     """Batched if the first environment is of a kind that can be, else one after the other."""
     kind = kind_of(first.unwrapped) if exactness(first, True) == "captured" else None
     if kind is not None and first.render_mode is None:
-        return MujocoVec(first, kind, num_envs, autoreset_mode, infos)
+        hazard = hazards.hazard_of(first)
+        if hazard == hazards.Hazard():
+            return MujocoVec(first, kind, num_envs, autoreset_mode, infos)
+        return HazardousVec(first, kind, num_envs, autoreset_mode, infos, hazard)
     envs = [first, *(another() for _ in range(num_envs - 1))]
     return GenericVec(envs, autoreset_mode, infos, remember)
 
 
 def _make(env_id: str, kwargs: dict[str, Any]) -> Env:
-    four_rooms.register()
+    _register()
     return gymnasium.make(env_id, disable_env_checker=True, **kwargs)
+
+
+def _register() -> None:
+    """Our own ids, also where a test has cleared Gymnasium's registry."""
+    four_rooms.register()
+    hazards.register()
 
 
 def _flat(env: Env) -> Env:
@@ -237,7 +248,8 @@ class Adapter:
 def exactness(env: Env, wanted: bool) -> Exactness:
     """How this environment moves from process to process without losing a bit.
 
-    captured: Gymnasium's own MuJoCo environments, whose state MuJoCo can give and take.
+    captured: Gymnasium's own MuJoCo environments, also with a hazard, whose state MuJoCo can give
+    and take.
     replayed: any other, from its reset seed and the actions so far.
     """
     if not wanted:
