@@ -77,12 +77,12 @@ def prepare(
     policy, log_std = networks.split_policy(parameters)
     output, _ = networks.policy.forward(policy, obs)
     log_prob = distribution.log_prob(output, log_std, action)
-    estimates = _estimates(rollouts, obs, networks, parameters, statistics, config)
+    found = estimates(rollouts, obs, networks, parameters, statistics, config)
     return [
         _slot(
             rollout,
             replay,
-            estimates.of(index),
+            found.of(index),
             (obs[index], action[index], output[index], log_prob[index], log_std.copy()),
             statistics,
             psi,
@@ -98,7 +98,7 @@ def _samples(array: Float32) -> Float32:
 
 
 @dataclass(frozen=True, slots=True)
-class _Estimates:
+class Estimates:
     """Of all slots side by side: [T, S, E]."""
 
     v: FloatArray
@@ -106,9 +106,9 @@ class _Estimates:
     sigma: FloatArray
     variance: Estimate
 
-    def of(self, slot: int) -> "_Estimates":
+    def of(self, slot: int) -> "Estimates":
         """Of one slot: [T, E]."""
-        return _Estimates(
+        return Estimates(
             self.v[:, slot],
             Estimate(self.value.advantage[:, slot], self.value.target[:, slot]),
             self.sigma[:, slot],
@@ -119,7 +119,7 @@ class _Estimates:
 def _slot(
     rollout: Rollout,
     replay: Replay | None,
-    estimates: _Estimates,
+    estimates: Estimates,
     acted: tuple[Float32, Float32, Float32, Float32, Float32],
     statistics: Statistics,
     psi: float,
@@ -158,15 +158,21 @@ def _slot(
     return experience, kept, facts
 
 
-def _estimates(
+def estimates(
     rollouts: Sequence[Rollout],
     obs: Float32,
     networks: Networks,
     parameters: Float32,
     statistics: Statistics,
     config: Config,
-) -> _Estimates:
-    """V, σ, and advantages and targets of both, for all slots."""
+) -> Estimates:
+    """V, σ, and advantages and targets of both, for all slots, in the trainer's units.
+
+    Args:
+        rollouts: one per slot, all of one shape.
+        obs: [S, N, O] their observations.
+        networks, parameters, statistics, config: of the run.
+    """
     next_obs = np.stack([_samples(rollout.next_obs) for rollout in rollouts])
     reward, terminated, ended = (
         np.stack([getattr(rollout, name) for rollout in rollouts], axis=1)
@@ -192,7 +198,7 @@ def _estimates(
     )
     if networks.variance is None:
         zero = np.zeros_like(delta)
-        return _Estimates(v, value, zero, Estimate(zero, zero))
+        return Estimates(v, value, zero, Estimate(zero, zero))
     if returns.delta_reward == "raw":
         delta = td_errors(reward, v, v_next, terminated, returns.gamma)
     outputs = _critic(networks, "variance", parameters, obs, next_obs)
@@ -201,7 +207,7 @@ def _estimates(
     unit = statistics.sigma_scale(config)
     sigma, sigma_next = (unit * in_time(x) for x in outputs)
     variance = estimate_variance(delta, sigma, sigma_next, terminated, ended, returns)
-    return _Estimates(v, value, sigma, variance)
+    return Estimates(v, value, sigma, variance)
 
 
 def _critic(

@@ -115,10 +115,14 @@ class ReturnsConfig:
         )
 
     @property
+    def return_trace(self) -> float:
+        """λ_ret: trace of the return whose variance σ is."""
+        return self.gae_lambda if self.lambda_ret < 0 else self.lambda_ret
+
+    @property
     def variance_discount(self) -> float:
         """γ̄ = (γ λ_ret)², the discount of the variance recursion (Safe Actor-Critic, eq. 10)."""
-        trace = self.gae_lambda if self.lambda_ret < 0 else self.lambda_ret
-        product = self.gamma * trace
+        product = self.gamma * self.return_trace
         return product if self.gamma_bar == "authors-2019" else product**2
 
 

@@ -1,7 +1,6 @@
 """Returns of a frozen policy: what `dppo eval` prints."""
 
-import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +12,7 @@ from dppo.statistics import Measure, intervals, tail_mean
 from dppo.store.checkpoint import Checkpoint
 from dppo.streams import stream
 from workers.envs import make_env, spaces_of
-from workers.play import ROWS, Episode, Plan, Start, play
+from workers.play import ROWS, Episode, Plan, Start, Trajectory, play
 from workers.policy import FrozenPolicy
 
 Float64 = NDArray[np.float64]
@@ -84,10 +83,6 @@ class Evaluation:
             ],
         }
 
-    def to_json(self, facts: dict[str, Any]) -> str:
-        """`to_dict`, with facts in front of it."""
-        return json.dumps(facts | self.to_dict(), indent=2)
-
     def lines(self) -> list[str]:
         """The summaries, for people."""
         lines = []
@@ -121,27 +116,38 @@ def plans_of(seed: int, episodes: int, places: int, free: bool = True) -> list[P
 
 
 def evaluate(
-    checkpoint: Checkpoint,
+    policy: FrozenPolicy,
     *,
     episodes: int,
     deterministic: bool,
     seed: int,
     places: int = 0,
     rows: int = ROWS,
+    watch: Callable[[Episode, Trajectory], None] | None = None,
 ) -> Evaluation:
     """Run the policy for some episodes. Equal arguments give equal returns, for any `rows`.
 
     Args:
-        checkpoint: of a run.
+        policy: see `policy_of`.
         episodes: of each kind of start.
         deterministic: take the most likely actions instead of samples.
         seed: of start states, actions and the environments' own noise.
         places: fixed start states; 0: only free ones.
         rows: most environments side by side.
+        watch: called with each episode from a fixed start, as they end.
     """
     plans = plans_of(seed, episodes, places)
-    played = play(policy_of(checkpoint), plans, deterministic=deterministic, rows=rows)
-    return Evaluation(in_order(plans, [episode for episode, _ in played]), seed)
+    free, fixed = plans[:episodes], plans[episodes:]
+    found = [episode for episode, _ in play(policy, free, deterministic=deterministic, rows=rows)]
+    if fixed:
+        keep = watch is not None
+        for episode, trajectory in play(
+            policy, fixed, deterministic=deterministic, keep=keep, rows=rows
+        ):
+            found.append(episode)
+            if watch is not None:
+                watch(episode, trajectory)
+    return Evaluation(in_order(plans, found), seed)
 
 
 def in_order(plans: Sequence[Plan], episodes: Sequence[Episode]) -> tuple[Episode, ...]:

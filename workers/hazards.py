@@ -5,9 +5,9 @@
     HopperRiskyAngle-v4     the same for a torso that leans beyond a threshold
 
 For HalfCheetah, Hopper, Walker2d and Ant (which has no one angle), on Gymnasium's -v4 and -v5. A
-gamble has mean 0: it leaves every policy's expected return as it is and only adds variance, so that
-what a penalty on variance gains can be told from what it gives up. Keyword arguments: `noise_std`,
-`risk`, `threshold`, `over`, and those of the Gymnasium class.
+gamble has mean 0: it leaves every policy's expected return as it is and only adds variance, so
+that what a penalty on variance gains can be told from what it gives up. Keyword arguments:
+`noise_std`, `risk`, `threshold`, `over`, and those of the Gymnasium class.
 
     gymnasium.make("workers.hazards:HopperRiskySpeed-v4", threshold=2.0, risk=10)
 

@@ -35,9 +35,11 @@ class FrozenPolicy:
                 "give the environment that it was trained on"
             )
         self.distribution: Distribution = distribution_of(spaces)
-        self._normalizer = statistics_in(checkpoint).obs_normalizer(self.config.rollout)
-        self._networks = Networks.build(spaces, self.config)
-        self._policy, self._log_std = self._networks.split_policy(checkpoint.arrays["parameters"])
+        self.statistics = statistics_in(checkpoint)
+        self.networks = Networks.build(spaces, self.config)
+        self.parameters: Float32 = checkpoint.arrays["parameters"]
+        self._normalizer = self.statistics.obs_normalizer(self.config.rollout)
+        self._policy, self._log_std = self.networks.split_policy(self.parameters)
 
     def seen(self, obs: Float64, steps: NDArray[np.integer]) -> Float32:
         """[n, O] what the networks see of raw observations, `steps` [n] after the start."""
@@ -57,7 +59,7 @@ class FrozenPolicy:
             steps: [n] steps of the episodes so far, for policies with a time feature.
             noise: [n, K] draws of `distribution.noise`; None: the most likely actions.
         """
-        output, _ = self._networks.policy.forward(self._policy, self.seen(obs, steps)[:, None])
+        output, _ = self.networks.policy.forward(self._policy, self.seen(obs, steps)[:, None])
         if noise is None:
             return self.distribution.mode(output[:, 0])
         return self.distribution.sample(output[:, 0], self._log_std, noise)

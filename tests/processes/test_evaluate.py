@@ -44,11 +44,11 @@ def newest(run_dir: Path):
 
 
 def test_equal_arguments_give_equal_returns_and_other_seeds_others(run_dir):
-    checkpoint = newest(run_dir)
-    first = evaluate(checkpoint, episodes=3, deterministic=False, seed=1)
-    assert evaluate(checkpoint, episodes=3, deterministic=False, seed=1) == first
-    assert evaluate(checkpoint, episodes=3, deterministic=False, seed=2) != first
-    assert evaluate(checkpoint, episodes=3, deterministic=True, seed=1) != first
+    policy = policy_of(newest(run_dir))
+    first = evaluate(policy, episodes=3, deterministic=False, seed=1)
+    assert evaluate(policy, episodes=3, deterministic=False, seed=1) == first
+    assert evaluate(policy, episodes=3, deterministic=False, seed=2) != first
+    assert evaluate(policy, episodes=3, deterministic=True, seed=1) != first
 
 
 def test_the_torch_module_acts_like_the_trainer_policy(run_dir):
@@ -65,8 +65,7 @@ def test_the_torch_module_acts_like_the_trainer_policy(run_dir):
 
 @pytest.mark.parametrize("env_id", ["Hopper-v5", "FourRooms-v0"])
 def test_results_do_not_depend_on_how_many_are_played_side_by_side(runs, env_id):
-    checkpoint = newest(runs(env_id))
-    play_all = partial(evaluate, checkpoint, deterministic=False, seed=3)
+    play_all = partial(evaluate, policy_of(newest(runs(env_id))), deterministic=False, seed=3)
     together = play_all(episodes=5, places=2)
     assert len({episode.length for episode in together.episodes}) > 5
     for rows in (1, 2, 7):
@@ -128,7 +127,7 @@ def test_a_failing_environment_ends_the_evaluation_with_its_reset_seed(runs):
     checkpoint.facts["config"]["run"]["env"] = "tests.odd_envs:Raises-v0"
     sentence = r"Raises-v0 raised RuntimeError: the arm fell off at step 10 .* reset seed \d+"
     with pytest.raises(RunFailedError, match=sentence):
-        evaluate(checkpoint, episodes=2, deterministic=True, seed=0)
+        evaluate(policy_of(checkpoint), episodes=2, deterministic=True, seed=0)
 
 
 def test_dppo_eval_prints_mean_spread_tail_falls_and_intervals(harness, run_dir):

@@ -1,9 +1,13 @@
 """`dppo eval`: what a run's policy earns, how far that spreads, and whether σ knows."""
 
+import json
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dppo.settings import require
+
+if TYPE_CHECKING:
+    from workers.calibration import Calibration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -18,6 +22,8 @@ class EvalArgs:
     """Also play episodes that share one start state and differ in all noise after it."""
     starts: int = 1
     """Start states to share, --episodes from each, summed up together [count]."""
+    calibration: bool = False
+    """Also compare the run's sigma with the spread of returns from one start state."""
     deterministic: bool = False
     """Take the most likely action instead of sampling."""
     which: str = "best"
@@ -33,25 +39,42 @@ class EvalArgs:
         """Refuse what cannot be run."""
         for name in ("episodes", "starts", "rows"):
             require(getattr(self, name) >= 1, name, getattr(self, name), ">= 1")
+        require(
+            not (self.calibration and self.deterministic),
+            "deterministic",
+            self.deterministic,
+            "off with --calibration: sigma is of the policy that samples",
+        )
+        require(
+            not self.calibration or self.episodes >= 2,
+            "episodes",
+            self.episodes,
+            ">= 2 with --calibration",
+        )
         require(0 <= self.seed < 2**63, "seed", self.seed, "0 <= seed < 2**63")
 
 
 def run(args: EvalArgs) -> int:
     """Play, and print."""
     from dppo.store.contents import chosen
+    from workers.calibration import Calibrator
     from workers.envs import quiet
-    from workers.evaluate import evaluate
+    from workers.evaluate import evaluate, policy_of
 
     quiet()
     path, checkpoint = chosen(args.run, args.which)
+    policy = policy_of(checkpoint)
+    calibrator = Calibrator(policy) if args.calibration else None
     result = evaluate(
-        checkpoint,
+        policy,
         episodes=args.episodes,
         deterministic=args.deterministic,
         seed=args.seed,
-        places=args.starts if args.fixed_start else 0,
+        places=args.starts if args.fixed_start or args.calibration else 0,
         rows=args.rows,
+        watch=None if calibrator is None else calibrator.note,
     )
+    calibration = None if calibrator is None else calibrator.result(args.seed)
     facts: dict[str, Any] = {
         "env": checkpoint.facts["config"]["run"]["env"],
         "checkpoint": path.name,
@@ -61,12 +84,47 @@ def run(args: EvalArgs) -> int:
         "seed": args.seed,
     }
     if args.json:
-        print(result.to_json(facts))
+        if calibration is not None:
+            facts["calibration"] = calibration.to_dict()
+        print(json.dumps(facts | result.to_dict(), indent=2))
         return 0
     print(
         f"{facts['env']}, {path.name}, {facts['env_steps']:,} steps, {facts['actions']} actions, "
         f"gamma {facts['gamma']:g}"
     )
-    for line in result.lines():
+    for line in result.lines() + ([] if calibration is None else _table(calibration)):
         print(line)
     return 0
+
+
+def _table(calibration: "Calibration") -> list[str]:
+    """Predicted beside empirical."""
+    lines = [
+        f"standard deviation of the lambda-return (gamma {calibration.gamma:g}, lambda_ret "
+        f"{calibration.lambda_ret:g}) [reward]: predicted by sigma, and empirical",
+        "  start  predicted  empirical  [95 % interval]        ratio  [95 % interval]",
+    ]
+    lines += [
+        f"  {start.place:<5}  {start.predicted_std:<9.4g}  {start.empirical_std:<9.4g}  "
+        f"{_bounds(start.empirical_std_interval):21}  {start.ratio:<5.3f}  "
+        f"{_bounds(start.ratio_interval)}"
+        for start in calibration.starts
+    ]
+    lines.append(
+        f"  all starts: ratio {calibration.ratio:.3f} {_bounds(calibration.ratio_interval)}"
+    )
+    if calibration.along_ratio is None:
+        return lines
+    lines.append(
+        f"  along the trajectories, with V's error: ratio {calibration.along_ratio:.3f} "
+        f"{_bounds(calibration.along_ratio_interval)}"
+    )
+    lines.append("  tenths of the steps by sigma:  predicted  empirical")
+    return lines + [
+        f"  {number:<29}  {part.predicted_std:<9.4g}  {part.empirical_std:<9.4g}"
+        for number, part in enumerate(calibration.bins, 1)
+    ]
+
+
+def _bounds(interval: tuple[float, float] | None) -> str:
+    return "" if interval is None else f"[{interval[0]:.4g}, {interval[1]:.4g}]"

@@ -1,0 +1,268 @@
+"""Does σ know how far returns spread? Predicted against empirical standard deviation.
+
+What is compared, in raw reward. σ(s) is meant to be the variance, given s, of the λ-return
+
+    G_t = V(s_t) + Σ_l (γ λ_ret)^l δ_{t+l},        σ(s) = E[δ² + γ̄ σ(s')],  γ̄ = (γ λ_ret)²
+
+with the run's γ and λ_ret; for λ_ret = 1 that is the discounted return, bootstrapped with V where
+the time limit cuts it. Both agree if V is right: only then are the δ of an episode uncorrelated.
+
+- From each start state: √σ(s_0) against the standard deviation of G_0 over episodes that share
+  s_0. V(s_0) is the same in all of them, so an error of V at s_0 itself does not enter.
+- Along the trajectories: σ(s_t) against (G_t − V(s_t))², which has the error of V at s_t in it.
+  Steps that are too near a time limit for the spread that σ counts to show are left out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dppo.errors import UsageError
+from dppo.rollout import Rollout, estimates
+from dppo.statistics import Measure, intervals
+from dppo.streams import stream
+from workers.play import Episode, Trajectory
+from workers.policy import FrozenPolicy
+
+Float64 = NDArray[np.float64]
+Interval = tuple[float, float]
+_BOOTSTRAP = 2
+"""Second index of the stream that intervals are drawn from; see `workers.play.Plan.noise`."""
+_UNSEEN = 0.01
+"""Largest share γ̄^l of σ that may lie beyond a time limit l steps ahead."""
+_BINS = 10
+_NOTHING = 1e-300
+"""Instead of a variance of 0, to divide by [reward²]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FromStart:
+    """One start state."""
+
+    place: int
+    episodes: int
+    predicted_std: float
+    """√σ(s_0) [reward]."""
+    empirical_std: float
+    """Of G_0 over the episodes [reward]."""
+    empirical_std_interval: Interval
+    ratio: float
+    """Predicted over empirical."""
+    ratio_interval: Interval
+    squares_std: float
+    """Square root of the mean of Σ γ̄^l δ², which σ(s_0) is regressed on [reward]."""
+    v_error: float
+    """Mean of G_0 − V(s_0) [reward]."""
+    discounted_std: float
+    """Of Σ γ^t r_t, for comparison: a λ-return spreads less [reward]."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bin:
+    """A tenth of all steps, by their σ."""
+
+    steps: int
+    predicted_std: float
+    empirical_std: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Calibration:
+    """Predicted against empirical standard deviations, with 95 % bootstrap intervals."""
+
+    gamma: float
+    lambda_ret: float
+    starts: tuple[FromStart, ...]
+    ratio: float
+    """Over all start states: √(mean of σ(s_0) / mean of the empirical variances)."""
+    ratio_interval: Interval
+    along_ratio: float | None
+    """Along the trajectories: √(mean of σ(s_t) / mean of (G_t − V(s_t))²); None: nothing shows."""
+    along_ratio_interval: Interval | None
+    bins: tuple[Bin, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class _Spread:
+    """One episode."""
+
+    sigma: Float64  # [T]  σ(s_t), reward²
+    error: Float64  # [T]  G_t − V(s_t), reward
+    squares: float
+    """Σ γ̄^l δ_l²."""
+    discounted: float
+    shown: int
+    """Steps whose σ can show before the time limit."""
+
+
+class Calibrator:
+    """Takes episodes from fixed starts, one at a time; gives the calibration."""
+
+    def __init__(self, policy: FrozenPolicy) -> None:
+        """Refuse a run whose σ is not the variance of a return.
+
+        Raises:
+            UsageError: says which setting.
+        """
+        returns, safety = policy.config.returns, policy.config.safety
+        if policy.networks.variance is None:
+            raise UsageError("the run has no variance critic (--no-variance-critic): no sigma")
+        if returns.gamma_bar != "paper" or returns.delta_reward != "scaled":
+            raise UsageError(
+                f"the run has gamma_bar {returns.gamma_bar} and delta_reward "
+                f"{returns.delta_reward}; expected paper and scaled: with others sigma is not the "
+                "variance of a return, and there is nothing to compare it with"
+            )
+        trace = returns.return_trace
+        exact = replace(returns, gae_lambda=trace, lambda_ret=trace, targets="monte-carlo")
+        self._policy = policy
+        self._config = replace(policy.config, returns=exact, safety=safety)
+        self._found: dict[tuple[int, int], _Spread] = {}
+
+    def note(self, episode: Episode, trajectory: Trajectory) -> None:
+        """One more episode, from a fixed start."""
+        key = episode.plan.place, episode.plan.number
+        self._found[key] = self._spread(episode, trajectory)
+
+    def _spread(self, episode: Episode, trajectory: Trajectory) -> _Spread:
+        """σ and G − V at every step of an episode, in raw reward."""
+        policy, config, steps = self._policy, self._config, len(trajectory.reward)
+        seen = policy.seen(trajectory.obs, np.arange(steps + 1))
+        last = np.arange(steps) == steps - 1
+        over = episode.terminated or config.rollout.time_limit == "time-feature"
+        rollout = Rollout(
+            obs=seen[:-1, None],
+            next_obs=seen[1:, None],
+            action=np.empty((steps, 1, 0), np.float32),
+            reward=trajectory.reward[:, None],
+            terminated=(last & over)[:, None],
+            ended=last[:, None],
+            starts=(np.arange(steps) == 0)[:, None],
+        )
+        statistics = policy.statistics
+        found = estimates(
+            [rollout], seen[None, :-1], policy.networks, policy.parameters, statistics, config
+        ).of(0)
+        scale, unit = statistics.reward_scale(config), statistics.sigma_unit(config)
+        shown = steps
+        if not over:
+            shown -= _steps_beyond(config.returns.variance_discount)
+        return _Spread(
+            sigma=found.sigma[:, 0] / unit,
+            error=found.value.advantage[:, 0] / scale,
+            squares=float(found.variance.target[0, 0] / unit),
+            discounted=episode.discounted,
+            shown=max(0, shown),
+        )
+
+    def result(self, seed: int) -> Calibration:
+        """Of what was noted: the same number of episodes from each place, two at least."""
+        places = sorted({place for place, _ in self._found})
+        spreads = [
+            [spread for (of, _), spread in sorted(self._found.items()) if of == place]
+            for place in places
+        ]
+        rng = stream(seed, "evaluation", 0, 0, _BOOTSTRAP)
+        starts = [
+            _from_start(place, found, rng) for place, found in zip(places, spreads, strict=True)
+        ]
+        errors = np.array([[spread.error[0] for spread in found] for found in spreads])
+        predicted = np.array([start.predicted_std for start in starts])
+        ratio = _ratio_to(float(np.square(predicted).mean()))
+        everything = [spread for found in spreads for spread in found]
+        along = _along(everything)
+        return Calibration(
+            gamma=self._config.returns.gamma,
+            lambda_ret=self._config.returns.return_trace,
+            starts=tuple(starts),
+            ratio=float(ratio(errors)),
+            ratio_interval=intervals(errors.T, {"": ratio}, rng)[""],
+            along_ratio=float(_ratio_along(along.T)) if len(along) else None,
+            along_ratio_interval=(
+                intervals(along, {"": _ratio_along}, rng)[""] if len(along) else None
+            ),
+            bins=_bins(everything),
+        )
+
+
+def _steps_beyond(discount: float) -> int:
+    """L such that γ̄^l is small."""
+    if discount in (0.0, 1.0):
+        return int(discount) * np.iinfo(np.int64).max
+    return int(np.ceil(np.log(_UNSEEN) / np.log(discount)))
+
+
+def _std(sample: Float64) -> Float64:
+    """[..., places] standard deviations of [..., places, N], without bias in their squares."""
+    deviations: Float64 = np.std(sample, axis=-1, ddof=1)
+    return deviations
+
+
+def _from_start(place: int, found: Sequence[_Spread], rng: np.random.Generator) -> FromStart:
+    """One start state."""
+    sigma = max(0.0, float(found[0].sigma[0]))
+    errors = np.array([[spread.error[0]] for spread in found])  # [N, 1]
+    measures: dict[str, Measure] = {
+        "std": lambda sample: _std(sample)[..., 0],
+        "ratio": _ratio_to(sigma),
+    }
+    bounds = intervals(errors, measures, rng)
+    return FromStart(
+        place=place,
+        episodes=len(found),
+        predicted_std=float(np.sqrt(sigma)),
+        empirical_std=float(measures["std"](errors.T)),
+        empirical_std_interval=bounds["std"],
+        ratio=float(measures["ratio"](errors.T)),
+        ratio_interval=bounds["ratio"],
+        squares_std=float(np.sqrt(np.mean([spread.squares for spread in found]))),
+        v_error=float(errors.mean()),
+        discounted_std=float(np.std([spread.discounted for spread in found], ddof=1)),
+    )
+
+
+def _ratio_to(sigma: float) -> Measure:
+    """√(σ / mean over places of the variance) of [..., places, N]."""
+    return lambda sample: np.sqrt(
+        sigma / np.maximum(np.square(_std(sample)).mean(axis=-1), _NOTHING)
+    )
+
+
+def _along(found: Sequence[_Spread]) -> Float64:
+    """[N, 2] sums over the steps of each episode: of σ(s_t), and of (G_t − V(s_t))²."""
+    return np.array(
+        [
+            [s.sigma[: s.shown].sum(), np.square(s.error[: s.shown]).sum()]
+            for s in found
+            if s.shown > 0
+        ]
+    ).reshape(-1, 2)
+
+
+def _ratio_along(sample: Float64) -> Float64:
+    """√(σ / squares) of sums [..., 2, N]."""
+    sigma, squares = sample[..., 0, :].sum(axis=-1), sample[..., 1, :].sum(axis=-1)
+    return np.asarray(np.sqrt(np.maximum(sigma, 0) / np.maximum(squares, _NOTHING)))
+
+
+def _bins(found: Sequence[_Spread]) -> tuple[Bin, ...]:
+    """Tenths of all steps, from small σ to large."""
+    sigma = np.concatenate([s.sigma[: s.shown] for s in found])
+    squares = np.square(np.concatenate([s.error[: s.shown] for s in found]))
+    order = np.argsort(sigma, kind="stable")
+    return tuple(
+        Bin(
+            steps=len(part),
+            predicted_std=float(np.sqrt(max(0.0, float(sigma[part].mean())))),
+            empirical_std=float(np.sqrt(squares[part].mean())),
+        )
+        for part in np.array_split(order, _BINS)
+        if len(part)
+    )
