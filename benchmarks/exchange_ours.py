@@ -59,7 +59,14 @@ def _round(
     same: Any = {"generation": 1, "iteration": 0, "slots": slots, "parameters": parameters}
     one = np.zeros(3)
     collect = Collect(
-        round=0, psi=0.1, beta=1.0, obs=np.zeros(55), returns=one, sigma_target=one, **same
+        round=0,
+        psi=0.1,
+        beta=1.0,
+        mean_reward=0.0,
+        obs=np.zeros(55),
+        returns=one,
+        sigma_target=one,
+        **same,
     )
     complete = False
     while not complete:  # until all have joined, and once more: slots are spread at the beginning

@@ -20,6 +20,21 @@ Values = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
+def less_variable(reward: Values, mean: float, weight: float) -> Values:
+    """What TRVO learns from: r' = r − c r² + 2 c r y = r − c (r − y)² + c y².
+
+    y is the mean reward of a step. Bisi et al. 2020, *Risk-averse trust region
+    optimization for reward-volatility reduction*: the policy that earns most of r' gives up some
+    reward for rewards that vary less from step to step. A baseline, no part of Safe Actor-Critic.
+
+    Args:
+        reward: [T, E] r_t, raw.
+        mean: y, of the newest episodes of all slots.
+        weight: c > 0 [1/reward].
+    """
+    return reward - weight * np.square(reward) + 2 * weight * mean * reward
+
+
 def td_errors(
     reward: Values, v: Values, v_next: Values, terminated: Flags, discount: float
 ) -> Values:

@@ -1,19 +1,19 @@
 """What happened in one iteration, and what is made of it for learning."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dppo.config import Config
+from dppo.config import Config, SafetyConfig
 from dppo.distributions import Distribution
 from dppo.experience import Experience, critics_table
 from dppo.losses import AdvantageStatistics, softplus
 from dppo.moments import FloatArray, Moments
 from dppo.networks import Network, Networks
 from dppo.normalizer import Statistics
-from dppo.returns import Estimate, estimate, estimate_variance, td_errors
+from dppo.returns import Estimate, estimate, estimate_variance, less_variable, td_errors
 
 Float32 = NDArray[np.float32]
 
@@ -25,7 +25,7 @@ class Rollout:
     obs: Float32  # [T, E, O]  s_t, normalised, with the time feature if there is one
     next_obs: Float32  # [T, E, O]  s_{t+1}; the *final* observation where an episode ended
     action: Float32  # [T, E, A]  unclipped
-    reward: FloatArray  # [T, E]  r_t for leaving s_t, raw
+    reward: FloatArray  # [T, E]  r_t for leaving s_t, unscaled
     terminated: NDArray[np.bool_]  # [T, E]  the task ended: V(s_{t+1}) is 0
     ended: NDArray[np.bool_]  # [T, E]  terminated, truncated, or the window was cut
     starts: NDArray[np.bool_]  # [T, E]  s_t is the first of an episode
@@ -37,6 +37,13 @@ class Rollout:
             found = getattr(self, name).shape[:2]
             if found != shape:
                 raise ValueError(f"{name} begins with shape {found}, reward has {shape}")
+
+    def judged(self, mean_reward: float, config: SafetyConfig) -> "Rollout":
+        """With the reward that is learned from, if that is not the environment's own."""
+        weight = config.reward_variance
+        if weight == 0:
+            return self
+        return replace(self, reward=less_variable(self.reward, mean_reward, weight))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

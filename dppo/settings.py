@@ -144,13 +144,16 @@ class SafetyConfig:
     """How A_V and A_σ meet: each standardised [ψ: 1], their sum, or raw [ψ: 1/scaled reward]."""
     sigma_head: Literal["softplus", "linear"] = "softplus"
     """Output of the variance network: positive by construction, or (paper) linear."""
+    reward_variance: float = 0.0
+    """c: learn from r - c r² + 2 c r mean(r), the TRVO baseline; 0: from r [1/reward]."""
     variance_critic: bool = True
     """Train the variance network; off only together with psi 0."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
-        require_finite(self, "psi", "variance_limit_rate")
-        require(self.psi >= 0, "psi", self.psi, ">= 0")
+        require_finite(self, "psi", "variance_limit_rate", "reward_variance")
+        for name in ("psi", "reward_variance"):
+            require(getattr(self, name) >= 0, name, getattr(self, name), ">= 0")
         require(0 <= self.psi_warmup < 1, "psi_warmup", self.psi_warmup, "0 <= psi_warmup < 1")
         for name in ("variance_limit", "variance_limit_rate"):
             require(getattr(self, name) > 0, name, getattr(self, name), "> 0")

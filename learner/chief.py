@@ -131,6 +131,7 @@ class Chief:
             slots=self._slots,
             psi=psi,
             beta=state.beta,
+            mean_reward=state.mean_reward,
             parameters=state.parameters,
             obs=state.statistics.obs.to_vector(),
             returns=state.statistics.returns.to_vector(),

@@ -11,7 +11,7 @@ from dppo.config import Config
 from dppo.networks import Network, Networks
 from dppo.normalizer import Statistics
 from dppo.store.checkpoint import Checkpoint
-from dppo.store.contents import statistics_in
+from dppo.store.contents import mean_reward, statistics_in
 
 Float32 = NDArray[np.float32]
 RECENT_EPISODES = 100
@@ -64,6 +64,11 @@ class State:
     def mean_return(self) -> float:
         """Mean return of the newest episodes; -inf before any has finished."""
         return float(self.episodes[:, 0].mean()) if len(self.episodes) else -np.inf
+
+    @property
+    def mean_reward(self) -> float:
+        """Mean reward of a step of the newest episodes; 0 before any has finished."""
+        return mean_reward(self.episodes)
 
     def with_episodes(self, episodes: NDArray[np.float64]) -> "State":
         """With newly finished episodes, in slot order."""

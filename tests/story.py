@@ -43,8 +43,8 @@ GRADIENT = wire.Gradient(
 )  # fmt: skip
 MEASURED = wire.Measured(worker="", generation=7, iteration=1, round=3, slot=0, kl=0.0, weight=1.0)
 COLLECT = wire.Collect(
-    generation=7, iteration=1, round=0, slots=ALL, psi=0.1, beta=1.0, parameters=ONES,
-    obs=np.zeros(1 + 2 * OBS), returns=np.zeros(3), sigma_target=np.zeros(3),
+    generation=7, iteration=1, round=0, slots=ALL, psi=0.1, beta=1.0, mean_reward=2.5,
+    parameters=ONES, obs=np.zeros(1 + 2 * OBS), returns=np.zeros(3), sigma_target=np.zeros(3),
 )  # fmt: skip
 UPDATE = wire.Update(
     generation=7, iteration=1, round=1, slots=ALL, stopped=(), parameters=ONES,

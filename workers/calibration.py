@@ -148,7 +148,12 @@ class Calibrator:
         )
         statistics = policy.statistics
         found = estimates(
-            [rollout], seen[None, :-1], policy.networks, policy.parameters, statistics, config
+            [rollout.judged(policy.mean_reward, config.safety)],
+            seen[None, :-1],
+            policy.networks,
+            policy.parameters,
+            statistics,
+            config,
         ).of(0)
         scale, unit = statistics.reward_scale(config), statistics.sigma_unit(config)
         shown = steps

@@ -12,7 +12,7 @@ from dppo.errors import UsageError
 from dppo.networks import Networks
 from dppo.spaces import Spaces
 from dppo.store.checkpoint import Checkpoint
-from dppo.store.contents import spaces_in, statistics_in
+from dppo.store.contents import mean_reward, spaces_in, statistics_in
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -36,6 +36,8 @@ class FrozenPolicy:
             )
         self.distribution: Distribution = distribution_of(spaces)
         self.statistics = statistics_in(checkpoint)
+        self.mean_reward = mean_reward(checkpoint.arrays["episodes"])
+        """Of a step, as in the iteration that comes after the checkpoint."""
         self.networks = Networks.build(spaces, self.config)
         self.parameters: Float32 = checkpoint.arrays["parameters"]
         self._normalizer = self.statistics.obs_normalizer(self.config.rollout)

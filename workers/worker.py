@@ -94,7 +94,7 @@ class Worker:
         )
         collected = slots.collect(self._networks, self._distribution, task.parameters, statistics)
         prepared = prepare(
-            [rollout for rollout, _ in collected],
+            [rollout.judged(task.mean_reward, self._config.safety) for rollout, _ in collected],
             [slots.replays.get(index) for index in task.slots],
             self._networks,
             self._distribution,

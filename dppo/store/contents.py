@@ -2,6 +2,9 @@
 
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dppo.errors import CheckpointError, UsageError
 from dppo.moments import Moments
 from dppo.normalizer import Statistics
@@ -24,6 +27,11 @@ def statistics_in(checkpoint: Checkpoint) -> Statistics:
             for name in ("obs", "returns", "sigma_target")
         )
     )
+
+
+def mean_reward(episodes: NDArray[np.float64]) -> float:
+    """Mean reward of a step of episodes [k, 2], each return and length; 0 if there is none."""
+    return float(episodes[:, 0].sum() / episodes[:, 1].sum()) if len(episodes) else 0.0
 
 
 def chosen(run: str, which: str) -> tuple[Path, Checkpoint]:

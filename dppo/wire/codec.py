@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from dppo.errors import WireError
 from dppo.wire.messages import Message
 
-VERSION = 2
+VERSION = 3
 MAX_HEADER = 1 << 20
 """Bytes of the longest header."""
 MAX_BODY = 1 << 30

@@ -204,7 +204,8 @@ class Collect:
     """Run the policy for T steps on each of `slots`.
 
     Example:
-        Collect(generation=1, iteration=4, round=0, slots=(0, 1), psi=0.1, beta=1.0, ...)
+        Collect(generation=1, iteration=4, round=0, slots=(0, 1), psi=0.1, beta=1.0,
+                mean_reward=2.5, ...)
     """
 
     generation: int
@@ -213,6 +214,8 @@ class Collect:
     slots: tuple[int, ...]
     psi: float
     beta: float
+    mean_reward: float
+    """Of a step, over the newest episodes; 0 before any has ended."""
     parameters: Float32  # [P]
     obs: Float64  # moments [1 + 2 O]
     returns: Float64  # moments [3]

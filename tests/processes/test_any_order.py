@@ -56,7 +56,8 @@ def run(choices, drop=0):
         world.next_iteration()
         one = np.zeros(3)
         collect = wire.Collect(
-            **where, round=0, psi=0.1, beta=1.0, parameters=parameters, obs=np.zeros(1 + 2 * OBS),
+            **where, round=0, psi=0.1, beta=1.0, mean_reward=0.0, parameters=parameters,
+            obs=np.zeros(1 + 2 * OBS),
             returns=one, sigma_target=one,
         )  # fmt: skip
         exchange.begin_iteration(collect, snapshots)

@@ -135,7 +135,7 @@ def test_a_worker_whose_failure_is_lost_still_shows_that_it_lives():
     learner.send(
         "a",
         wire.Collect(
-            generation=7, iteration=0, round=0, slots=(0,), psi=0.0, beta=1.0,
+            generation=7, iteration=0, round=0, slots=(0,), psi=0.0, beta=1.0, mean_reward=0.0,
             parameters=Networks.build(spaces, config).initial(config),
             obs=np.zeros(1 + 2 * spaces.obs_size), returns=np.zeros(3), sigma_target=np.zeros(3),
         ),

@@ -56,6 +56,7 @@ class Story:
         self.worker.perform(
             Collect(
                 generation=1, iteration=iteration, round=0, slots=slots, psi=0.1, beta=1.0,
+                mean_reward=0.0,
                 parameters=self.parameters + np.float32(0.01 * iteration),
                 obs=empty.obs.to_vector(), returns=empty.returns.to_vector(),
                 sigma_target=empty.sigma_target.to_vector(),

@@ -54,6 +54,8 @@ REFUSED = [
     (SafetyConfig, {"psi": NAN}, "--psi is nan, expected a finite number"),
     (SafetyConfig, {"psi": INF}, "--psi is inf, expected a finite number"),
     (SafetyConfig, {"psi": -0.1}, "--psi is -0.1, expected >= 0"),
+    (SafetyConfig, {"reward_variance": -1.0}, "--reward-variance is -1.0, expected >= 0"),
+    (SafetyConfig, {"reward_variance": INF}, "--reward-variance is inf, expected a finite number"),
     (SafetyConfig, {"psi_warmup": 1.0}, "--psi-warmup is 1.0, expected 0 <= psi_warmup < 1"),
     (SafetyConfig, {"psi_warmup": -0.1}, "--psi-warmup is -0.1, expected 0 <= psi_warmup < 1"),
     (SafetyConfig, {"variance_limit": 0.0}, "--variance-limit is 0.0, expected > 0"),

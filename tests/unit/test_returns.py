@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dppo.config import ReturnsConfig
-from dppo.returns import discounted_sums, estimate, estimate_variance, td_errors
+from dppo.returns import discounted_sums, estimate, estimate_variance, less_variable, td_errors
 
 # Two environments, five steps, time down the page. Environment 0 terminates at t = 1 and is
 # truncated at t = 3; environment 1 lives on; the window is cut at t = 1 and at t = 4. Numbers
@@ -196,3 +196,18 @@ def test_the_closed_form_in_the_last_state_of_the_chain_by_hand():
     v = 0.5 / (1 - 0.9 * 0.25)
     expected = 2.0**2 + 0.9**2 * (0.25 * v**2 - (0.25 * v) ** 2)
     assert _variance_of_lambda_return(0.0)[2] == pytest.approx(expected, rel=1e-14)
+
+
+def test_the_reward_of_trvo_by_hand():
+    """c = 1/2, y = 4: r = 2 gives 2 - 2 + 8 = 8, r = 4 gives 4 - 8 + 16 = 12, 0 gives 0."""
+    judged = less_variable(np.array([[2.0, 4.0, 0.0]]), 4.0, 0.5)
+    assert judged.tolist() == [[8.0, 12.0, 0.0]]
+
+
+def test_the_mean_of_trvos_reward_is_the_mean_less_c_times_the_variance_and_a_constant():
+    """With y the mean: E[r'] = y - c Var[r] + c y², so that of equal means the steadier one wins."""
+    steady, wild = np.array([[3.0, 5.0]]), np.array([[0.0, 8.0]])
+    for reward in (steady, wild):
+        expected = 4.0 - 0.25 * reward.var() + 0.25 * 16
+        assert less_variable(reward, 4.0, 0.25).mean() == expected
+    assert less_variable(steady, 4.0, 0.25).mean() > less_variable(wild, 4.0, 0.25).mean()

@@ -52,8 +52,8 @@ EXAMPLES: list[Message] = [
     messages.Welcome(run="3f9c", generation=1, config='{"run": {}}', name="main"),
     messages.Restore(generation=1, iteration=4, slot=3, snapshot=b""),
     messages.Collect(
-        **PLACE, slots=(0, 1), psi=0.1, beta=1.0, parameters=NARROW, obs=WIDE, returns=WIDE[:3],
-        sigma_target=WIDE[:3],
+        **PLACE, slots=(0, 1), psi=0.1, beta=1.0, mean_reward=2.5, parameters=NARROW, obs=WIDE,
+        returns=WIDE[:3], sigma_target=WIDE[:3],
     ),
     messages.Update(**PLACE, slots=(), stopped=(), parameters=NARROW[:0], advantages=WIDE),
     messages.Measure(**PLACE, slots=(0, 4095), parameters=NARROW),
@@ -136,7 +136,7 @@ def test_a_header_of_another_form_is_refused(header):
     refused(Frame(msgpack.packb(header), b""), "a header is not .version, message name, field")
 
 
-@pytest.mark.parametrize("version", [0, 1, 3, -1, 2**63])
+@pytest.mark.parametrize("version", [0, 1, VERSION + 1, -1, 2**63])
 def test_another_version_is_refused_with_advice(version):
     sentence = f"protocol version {version}, this process speaks {VERSION}; install the same dppo"
     refused(framed("Stop", ["x", True], version=version), sentence)
