@@ -205,7 +205,7 @@ def test_the_reward_of_trvo_by_hand():
 
 
 def test_the_mean_of_trvos_reward_is_the_mean_less_c_times_the_variance_and_a_constant():
-    """With y the mean: E[r'] = y - c Var[r] + c y², so that of equal means the steadier one wins."""
+    """With y the mean: E[r] - c Var[r] + c y²: of equal means the steadier one wins."""
     steady, wild = np.array([[3.0, 5.0]]), np.array([[0.0, 8.0]])
     for reward in (steady, wild):
         expected = 4.0 - 0.25 * reward.var() + 0.25 * 16
