@@ -12,8 +12,8 @@ from pathlib import Path
 from dppo.settings import require
 
 _USAGE = (
-    "usage: dppo {eval,checkpoint,replay} RUN [options], or dppo {four-rooms,bench,chaos} "
-    "[options]; --help after one of these says more"
+    "usage: dppo {eval,export,video,watch,checkpoint,replay} RUN [options], or dppo "
+    "{four-rooms,bench,chaos} [options]; --help after one of these says more"
 )
 
 
@@ -65,8 +65,9 @@ def main(argv: list[str] | None = None) -> None:
     from dppo.process import leave, no_window, one_thread
 
     one_thread()
-    no_window()
     words = sys.argv[1:] if argv is None else argv
+    if words[:1] not in (["video"], ["watch"]):
+        no_window()
     leave(lambda: _command(words))
 
 
@@ -75,14 +76,8 @@ def _command(words: list[str]) -> int:
 
     start_logging(False)
     match words:
-        case ["eval", *rest]:
-            from workers.commands import evaluation
-
-            return evaluation.run(parse(evaluation.EvalArgs, _run_first(rest), "dppo eval"))
-        case ["checkpoint", *rest]:
-            return _checkpoint(parse(CheckpointArgs, _run_first(rest), "dppo checkpoint"))
-        case ["replay", *rest]:
-            return _replay(parse(ReplayArgs, _run_first(rest), "dppo replay"))
+        case ["eval" | "export" | "video" | "watch" | "checkpoint" | "replay" as name, *rest]:
+            return _with_run(name, rest if not _is_run(rest) else ["--run", *rest])
         case ["four-rooms", *rest]:
             from dppo.four_rooms.command import FourRoomsArgs, run
 
@@ -99,16 +94,37 @@ def _command(words: list[str]) -> int:
             return 0
     found = words[0] if words else "nothing"
     print(
-        f"error: found {found}, expected eval, checkpoint, replay, four-rooms, bench or chaos\n"
+        f"error: found {found}, expected eval, export, video, watch, checkpoint, replay, "
+        f"four-rooms, bench or chaos\n"
         f"{_USAGE}",
         file=sys.stderr,
     )
     return 2
 
 
-def _run_first(words: list[str]) -> list[str]:
-    """`RUN ...` as `--run RUN ...`."""
-    return ["--run", *words] if words and not words[0].startswith("-") else words
+def _is_run(words: list[str]) -> bool:
+    """`RUN ...`, which stands for `--run RUN ...`."""
+    return bool(words) and not words[0].startswith("-")
+
+
+def _with_run(name: str, words: list[str]) -> int:
+    """The subcommands that look at a run."""
+    from dppo.process import parse
+    from workers.commands import evaluation, export, pictures
+
+    program = f"dppo {name}"
+    match name:
+        case "eval":
+            return evaluation.run(parse(evaluation.EvalArgs, words, program))
+        case "export":
+            return export.run(parse(export.ExportArgs, words, program))
+        case "video":
+            return pictures.run_video(parse(pictures.VideoArgs, words, program))
+        case "watch":
+            return pictures.run_watch(parse(pictures.WatchArgs, words, program))
+        case "checkpoint":
+            return _checkpoint(parse(CheckpointArgs, words, program))
+    return _replay(parse(ReplayArgs, words, program))
 
 
 def _checkpoint(args: CheckpointArgs) -> int:

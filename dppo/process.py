@@ -1,6 +1,7 @@
 """What all commands share: threads, command line, log lines, exit codes."""
 
 import contextlib
+import ctypes.util
 import importlib.util
 import logging
 import os
@@ -40,6 +41,16 @@ def no_window() -> None:
         library = Path(package.origin).parent / "x11" / "libglfw.so"
         if library.exists():
             os.environ.setdefault("PYGLFW_LIBRARY", str(library))
+
+
+def draw_unseen() -> None:
+    """Pictures without a window: keep MuJoCo off the screen, before it is imported.
+
+    EGL and OSMesa draw into memory, with a GPU or in software. What the user has set stays.
+    """
+    for name, library in (("egl", "EGL"), ("osmesa", "OSMesa")):
+        if ctypes.util.find_library(library) is not None:
+            os.environ.setdefault("MUJOCO_GL", name)
 
 
 def usable_cores() -> int:

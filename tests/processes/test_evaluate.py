@@ -188,8 +188,8 @@ def test_dppo_checkpoint_shows_hashes_and_contents(harness, run_dir):
         (["eval", "{run}", "--which", "latest"], "--which is latest, expected best, newest"),
         (["eval", "{run}", "--episodes", "0"], "--episodes is 0, expected >= 1"),
         (["eval", "{run}", "--rows", "0"], "--rows is 0, expected >= 1"),
-        (["train"], "found train, expected eval, checkpoint, replay, four-rooms, bench or chaos"),
-        ([], "found nothing, expected eval, checkpoint, replay, four-rooms, bench or chaos"),
+        (["train"], "found train, expected eval, export, video, watch, checkpoint, replay"),
+        ([], "found nothing, expected eval, export, video, watch, checkpoint, replay"),
     ],
 )
 def test_wrong_usage_is_one_sentence_and_code_2(harness, run_dir, words, sentence):

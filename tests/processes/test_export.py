@@ -1,0 +1,122 @@
+"""A policy as a file for others: it acts like the trainer's, or the command says why not."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+import torch
+
+from dppo.store.contents import chosen
+from tests.support import SMALL, Harness, printed
+from workers.envs import Adapter, make_env
+from workers.evaluate import policy_of
+from workers.export import Exporter
+
+HAS_ONNX = all(importlib.util.find_spec(name) for name in ("onnx", "onnxruntime", "onnxscript"))
+needs_onnx = pytest.mark.skipif(not HAS_ONNX, reason="the extra `export` is not installed")
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """A small run of an environment, trained when it is first asked for."""
+    harness = Harness(tmp_path_factory.mktemp("train"))
+
+    def run(env_id, *args):
+        run_dir = harness.folder / f"{env_id}{len(args)}"
+        if not run_dir.exists():
+            steps = ("--total-timesteps", "1536", "--local-workers", "1")
+            harness.train("--env", env_id, *SMALL, *steps, *args, run_dir=run_dir)
+        return run_dir
+
+    return run
+
+
+def expected(run_dir, count=50):
+    """Observations far apart, and what the trainer's policy does, within the bounds."""
+    _, checkpoint = chosen(str(run_dir), "newest")
+    policy = policy_of(checkpoint)
+    env = make_env(policy.config.run)
+    obs = 3 * np.random.default_rng(0).standard_normal((count, 11))
+    modes = policy.actions(obs, np.zeros(count, np.int64), None)
+    return obs, Adapter(env.observation_space, env.action_space).to_envs(modes)
+
+
+@pytest.mark.slow
+def test_torchscript_acts_like_the_trainer_and_needs_nothing_of_ours(harness, runs):
+    run_dir, file = runs("Hopper-v5"), harness.folder / "policy.pt"
+    process = harness.start("dppo", "export", str(run_dir), "--torchscript", str(file))
+    assert process.wait() == 0, process.text
+    assert "largest difference from the trainer's own actions on" in process.text
+    obs, actions = expected(run_dir)
+    code = (
+        "import sys, warnings; warnings.simplefilter('ignore'); import numpy as np, torch\n"
+        f"module = torch.jit.load({str(file)!r})\n"
+        f"obs = torch.from_numpy(np.load({str(harness.folder / 'obs.npy')!r}))\n"
+        f"np.save({str(harness.folder / 'actions.npy')!r}, module(obs).detach().numpy())\n"
+        "assert not {'dppo', 'workers', 'learner'} & set(sys.modules)\n"
+    )
+    np.save(harness.folder / "obs.npy", obs)
+    script = harness.folder / "other.py"
+    script.write_text(code)
+    printed(script)
+    np.testing.assert_allclose(np.load(harness.folder / "actions.npy"), actions, atol=1e-6)
+    assert not list(harness.folder.glob(".*.part"))
+
+
+@pytest.mark.slow
+@needs_onnx
+def test_onnx_acts_like_the_trainer_for_any_number_of_observations(harness, runs):
+    import onnxruntime
+
+    run_dir, file = runs("Hopper-v5"), harness.folder / "policy.onnx"
+    process = harness.start("dppo", "export", str(run_dir), "--onnx", str(file))
+    assert process.wait() == 0, process.text
+    assert len(process.text.splitlines()) == 1, "the packages' own remarks are kept out"
+    session = onnxruntime.InferenceSession(str(file))
+    obs, actions = expected(run_dir)
+    for count in (1, 7, 50):
+        (found,) = session.run(["action"], {"obs": obs[:count]})
+        np.testing.assert_allclose(found, actions[:count], atol=1e-6)
+
+
+def test_a_file_that_acts_otherwise_is_not_written(runs, tmp_path):
+    from dppo.errors import RunFailedError
+
+    _, checkpoint = chosen(str(runs("Hopper-v5")), "newest")
+    exporter = Exporter(checkpoint)
+    with torch.no_grad():
+        exporter._module.mean += 0.5
+    with pytest.raises(RunFailedError, match=r"policy.pt acts otherwise .* differ by up to 0"):
+        exporter.torchscript(tmp_path / "policy.pt")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_what_cannot_be_exported_is_one_sentence_and_code_2(harness, runs):
+    hopper, rooms = runs("Hopper-v5"), runs("FourRooms-v0")
+    timed = runs("Hopper-v5", "--time-limit", "time-feature")
+    for words, sentence in (
+        ((rooms, "--torchscript", harness.folder / "a.pt"), "this policy has discrete actions"),
+        ((timed, "--torchscript", harness.folder / "a.pt"), "time limit time-feature"),
+        (
+            (hopper, "--torchscript", "/nowhere/a.pt"),
+            "/nowhere/a.pt lies in no folder that exists",
+        ),
+        ((hopper,), "--onnx is empty and --torchscript, too, expected a file for one of them"),
+    ):
+        process = harness.start("dppo", "export", *map(str, words))
+        assert process.wait() == 2, process.text
+        assert sentence in " ".join(process.text.replace("│", " ").split())
+        assert "Traceback" not in process.text
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(HAS_ONNX, reason="the extra `export` is installed")
+def test_without_the_extra_onnx_is_refused_with_advice(harness, runs):
+    file = harness.folder / "policy.onnx"
+    process = harness.start("dppo", "export", str(runs("Hopper-v5")), "--onnx", str(file))
+    assert process.wait() == 2
+    assert "--onnx needs the package onnxruntime, which is not installed; pip install" in (
+        process.text
+    )
+    assert not file.exists()

@@ -1,0 +1,124 @@
+"""A policy, seen: films without a screen, and one sentence where there can be none."""
+
+import ctypes.util
+import importlib.util
+import json
+import re
+
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from tests.support import SMALL, Harness
+
+SCREENLESS = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
+needs_egl = pytest.mark.skipif(
+    ctypes.util.find_library("EGL") is None, reason="there is no libEGL to draw with"
+)
+needs_ffmpeg = pytest.mark.skipif(
+    importlib.util.find_spec("imageio_ffmpeg") is None, reason="the extra `video` is not installed"
+)
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory):
+    """A small run of an environment, trained when it is first asked for."""
+    harness = Harness(tmp_path_factory.mktemp("train"))
+
+    def run(env_id):
+        run_dir = harness.folder / env_id
+        limit = json.dumps({"max_episode_steps": 60})
+        args = ("--env", env_id, "--env-kwargs", limit, *SMALL, "--total-timesteps", "1024")
+        if not run_dir.exists():
+            harness.train(*args, "--local-workers", "1", run_dir=run_dir)
+        return run_dir
+
+    return run
+
+
+def video(harness, run_dir, name, *words, **environment):
+    """The output of a command that has to succeed, and the file's path."""
+    file = harness.folder / name
+    process = harness.start(
+        "dppo", "video", str(run_dir), "--out", str(file), *words,
+        environment=SCREENLESS | environment,
+    )  # fmt: skip
+    assert process.wait() == 0, process.text
+    return process.text, file
+
+
+def seconds(file):
+    """Of a GIF: equal pictures in a row may lie in it as one that is shown for longer."""
+    with Image.open(file) as image:
+        return sum(frame.info["duration"] for frame in ImageSequence.Iterator(image)) / 1000
+
+
+def test_a_film_shows_the_episodes_that_dppo_eval_plays(harness, runs):
+    run_dir = runs("FourRooms-v0")  # draws by itself: this runs where there is no OpenGL
+    printed, file = video(harness, run_dir, "rooms.gif", "--episodes", "2", "--seed", "5")
+    words = ("--episodes", "2", "--seed", "5", "--json", "--which", "best")
+    evaluation = harness.start("dppo", "eval", str(run_dir), *words)
+    assert evaluation.wait() == 0, evaluation.text
+    episodes = json.loads(evaluation.text)["episodes"]
+    lengths = [int(number) for number in re.findall(r"episode \d: (\d+) steps", printed)]
+    assert lengths == [episode["length"] for episode in episodes]
+    assert seconds(file) == pytest.approx(sum(lengths) / 8, rel=0.05)  # 8 pictures per second
+    with Image.open(file) as image:
+        assert image.size == (13 * 16, 13 * 16)
+        assert len(list(ImageSequence.Iterator(image))) > 10
+
+
+@pytest.mark.slow
+@needs_egl
+def test_mujoco_is_filmed_without_a_screen(harness, runs):
+    printed, file = video(harness, runs("Hopper-v5"), "hopper.gif")
+    (length,) = (int(number) for number in re.findall(r"episode \d: (\d+) steps", printed))
+    # 125 steps per second are filmed in every 5th: 25 pictures per second
+    assert seconds(file) == pytest.approx(-(-length // 5) / 25, rel=0.01)
+    with Image.open(file) as image:
+        pictures = [
+            np.asarray(frame.convert("L"), np.float64) for frame in ImageSequence.Iterator(image)
+        ]
+    assert pictures[0].std() > 10, "there is something to see"
+    assert np.abs(pictures[0] - pictures[-1]).max() > 50, "and it moves"
+
+
+@pytest.mark.slow
+@needs_ffmpeg
+def test_an_mp4_has_its_pictures(harness, runs):
+    import imageio_ffmpeg
+
+    printed, file = video(harness, runs("FourRooms-v0"), "rooms.mp4")
+    (length,) = (int(number) for number in re.findall(r"episode \d: (\d+) steps", printed))
+    pictures, duration = imageio_ffmpeg.count_frames_and_secs(str(file))
+    assert pictures == length
+    assert duration == pytest.approx(length / 8, rel=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("words", "environment", "sentence"),
+    [
+        (("--out", "{}/a.avi"), {}, "expected a name that ends in .mp4 or .gif"),
+        (("--out", "/nowhere/a.gif"), {}, "/nowhere/a.gif lies in no folder that exists"),
+        (("--out", "{}/a.gif"), {"MUJOCO_GL": "disable"}, "no picture can be made here"),
+        (("--out", "{}/a.gif"), {"MUJOCO_GL": "crayon"}, "MUJOCO_GL"),
+    ],
+)
+def test_what_cannot_be_filmed_is_one_sentence_and_code_2(
+    harness, runs, words, environment, sentence
+):
+    words = [word.format(harness.folder) for word in words]
+    process = harness.start(
+        "dppo", "video", str(runs("Hopper-v5")), *words, environment=SCREENLESS | environment
+    )
+    assert process.wait() == 2, process.text
+    assert sentence in process.text
+    assert "Traceback" not in process.text
+    assert not (harness.folder / "a.gif").exists()
+
+
+def test_without_a_screen_there_is_no_window_but_advice(harness, runs):
+    process = harness.start("dppo", "watch", str(runs("Hopper-v5")), environment=SCREENLESS)
+    assert process.wait() == 2, process.text
+    assert "there is no screen here: neither DISPLAY nor WAYLAND_DISPLAY is set" in process.text
