@@ -180,6 +180,7 @@ def test_runs_without_a_sigma_that_is_a_variance_are_refused():
         Calibrator(policy_of(made))
 
 
+@pytest.mark.slow
 def test_dppo_eval_calibration_prints_the_same_twice(harness):
     run_dir = harness.folder / "run"
     args = ("--env", "HopperActionNoise-v5", *SMALL, "--total-timesteps", "1536")

@@ -53,6 +53,7 @@ def seconds(file):
         return sum(frame.info["duration"] for frame in ImageSequence.Iterator(image)) / 1000
 
 
+@pytest.mark.slow
 def test_a_film_shows_the_episodes_that_dppo_eval_plays(harness, runs):
     run_dir = runs("FourRooms-v0")  # draws by itself: this runs where there is no OpenGL
     printed, file = video(harness, run_dir, "rooms.gif", "--episodes", "2", "--seed", "5")

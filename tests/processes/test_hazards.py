@@ -137,6 +137,7 @@ def test_wrong_parameters_are_named(env_id, kwargs, sentence):
         make_env(RunConfig(env=env_id, env_kwargs=json.dumps(kwargs)))
 
 
+@pytest.mark.slow
 def test_a_run_on_a_hazard_has_the_same_bits_with_one_worker_and_with_two(harness):
     hashes = []
     for workers in ("1", "2"):

@@ -29,6 +29,7 @@ def test_one_and_three_workers_give_the_same_bits(harness):
     assert sha(harness, "three", env="Hopper-v5", workers=3) == one
 
 
+@pytest.mark.slow
 def test_the_trvo_baseline_has_the_same_bits_too_and_others_than_without(harness):
     args = ("--reward-variance", "0.3")
     one = sha(harness, "one", *args, env="Hopper-v5", workers=1)
