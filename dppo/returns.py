@@ -21,7 +21,7 @@ Flags = NDArray[np.bool_]
 
 
 def less_variable(reward: Values, mean: float, weight: float) -> Values:
-    """What TRVO learns from: r' = r − c r² + 2 c r y = r − c (r − y)² + c y².
+    """What TRVO learns from: r' = r − κ r² + 2 κ r y = r − κ (r − y)² + κ y².
 
     y is the mean reward of a step. Bisi et al. 2020, *Risk-averse trust region
     optimization for reward-volatility reduction*: the policy that earns most of r' gives up some
@@ -30,7 +30,7 @@ def less_variable(reward: Values, mean: float, weight: float) -> Values:
     Args:
         reward: [T, E] r_t, raw.
         mean: y, of the newest episodes of all slots.
-        weight: c > 0 [1/reward].
+        weight: κ > 0 [1/reward]; Bisi et al. call it λ, others c.
     """
     return reward - weight * np.square(reward) + 2 * weight * mean * reward
 

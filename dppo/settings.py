@@ -145,7 +145,7 @@ class SafetyConfig:
     sigma_head: Literal["softplus", "linear"] = "softplus"
     """Output of the variance network: positive by construction, or (paper) linear."""
     reward_variance: float = 0.0
-    """c: learn from r - c r² + 2 c r mean(r), the TRVO baseline; 0: from r [1/reward]."""
+    """κ: learn from r - κ r² + 2 κ r mean(r), the TRVO baseline; 0: from r [1/reward]."""
     variance_critic: bool = True
     """Train the variance network; off only together with psi 0."""
 

@@ -199,13 +199,13 @@ def test_the_closed_form_in_the_last_state_of_the_chain_by_hand():
 
 
 def test_the_reward_of_trvo_by_hand():
-    """c = 1/2, y = 4: r = 2 gives 2 - 2 + 8 = 8, r = 4 gives 4 - 8 + 16 = 12, 0 gives 0."""
+    """κ = 1/2, y = 4: r = 2 gives 2 - 2 + 8 = 8, r = 4 gives 4 - 8 + 16 = 12, 0 gives 0."""
     judged = less_variable(np.array([[2.0, 4.0, 0.0]]), 4.0, 0.5)
     assert judged.tolist() == [[8.0, 12.0, 0.0]]
 
 
-def test_the_mean_of_trvos_reward_is_the_mean_less_c_times_the_variance_and_a_constant():
-    """With y the mean: E[r] - c Var[r] + c y²: of equal means the steadier one wins."""
+def test_the_mean_of_trvos_reward_is_the_mean_less_kappa_times_the_variance_and_a_constant():
+    """With y the mean: E[r] - κ Var[r] + κ y²: of equal means the steadier one wins."""
     steady, wild = np.array([[3.0, 5.0]]), np.array([[0.0, 8.0]])
     for reward in (steady, wild):
         expected = 4.0 - 0.25 * reward.var() + 0.25 * 16
