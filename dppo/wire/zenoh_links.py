@@ -125,15 +125,32 @@ def open_connecting(address: str) -> zenoh.Session | None:
             },
         },
     }
-    try:
-        return zenoh.open(_config("client", endpoints))
-    except zenoh.ZError as error:
-        if "Unable to connect" in str(error):
-            return None
-        raise UsageError(
-            f"cannot connect to {address}: {_sentence(error)}; expected an address such as "
-            "tcp/learner:7447"
-        ) from error
+    opened = _opened_beside(_config("client", endpoints))
+    if isinstance(opened, zenoh.Session):
+        return opened
+    if "Unable to connect" in str(opened):
+        return None
+    raise UsageError(
+        f"cannot connect to {address}: {_sentence(opened)}; expected an address such as "
+        "tcp/learner:7447"
+    ) from opened
+
+
+def _opened_beside(config: zenoh.Config) -> zenoh.Session | zenoh.ZError:
+    """Open in another thread: with somebody who listens and never answers it takes ten seconds.
+
+    In this thread no signal would be heard meanwhile.
+    """
+    outcome: queue.SimpleQueue[zenoh.Session | zenoh.ZError] = queue.SimpleQueue()
+
+    def work() -> None:
+        try:
+            outcome.put(zenoh.open(config))
+        except zenoh.ZError as error:
+            outcome.put(error)
+
+    threading.Thread(target=work, daemon=True).start()
+    return outcome.get()
 
 
 class _End:

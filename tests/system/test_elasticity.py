@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 from pathlib import Path
 
 import pytest
@@ -130,3 +131,12 @@ def test_a_run_over_ipv6_alone_has_the_same_bits(harness, undisturbed):
     assert learner.wait() == 0, learner.text
     assert worker.wait() == 0, worker.text
     assert result(run_dir)["parameters_sha256"] == undisturbed
+
+
+def test_a_worker_ends_at_once_though_somebody_takes_its_connection_and_never_answers(harness):
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        worker = harness.worker(f"tcp/127.0.0.1:{mute.getsockname()[1]}")
+        taken, _ = mute.accept()  # it is in the middle of opening its session now
+        with taken:
+            worker.send(signal.SIGTERM)
+            assert worker.wait(5) == 0, worker.text
