@@ -75,6 +75,7 @@ def evaluation(cell: Cell, start: str) -> dict[str, Any] | None:
         return None
     label = f"{cell.env}/{cell.arm}/{start}"
     found: dict[str, Any] = {
+        "seeds": returns.shape[0],
         "episodes_per_seed": returns.shape[1],
         "undiscounted": _within(returns, label),
         "length_mean": _mean_of(cell.evaluated(start, "length")),

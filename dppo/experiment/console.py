@@ -69,10 +69,8 @@ class Console:
             return
         try:
             print(text, flush=True)
-        except BrokenPipeError:
-            raise  # nobody reads any more
         except OSError:
-            pass  # a file on a full disk: the line is lost, the experiment goes on
+            pass  # a full disk, a pipe that nobody reads: the line is lost, the grid goes on
 
     def show(self, standing: Standing, now: float) -> None:
         """The newest standing; `now` in seconds on the caller's clock."""

@@ -14,6 +14,8 @@ from dppo.experiment.plan import Grid, Run
 from dppo.experiment.statistics import Floats
 
 log = logging.getLogger("experiment")
+_PLAIN_ARMS = ("psi-paper", "psi-twice")
+"""Of Table 2: they differ in ψ alone."""
 POINTS = 200
 """Of a learning curve."""
 
@@ -61,18 +63,20 @@ class Cell:
     def label(self) -> str:
         """For tables and figures; ψ is part of it if it says more."""
         psi = f"ψ {self.psi:g}"
-        return psi if self.arm.startswith("psi") else f"{self.arm} ({psi})"
+        return psi if self.arm in (*_PLAIN_ARMS, f"psi{self.psi:g}") else f"{self.arm} ({psi})"
 
     def scores(self, count: int) -> Floats:
         """[n] mean return of the last training episodes of each seed."""
         return np.array([one.last(count) for one in self.finished])
 
     def evaluated(self, start: str, name: str) -> Floats | None:
-        """[n, E] a number of the evaluation episodes; None: a seed lacks it, or there is none."""
+        """[n, E] a number of the evaluation episodes of the seeds that have been evaluated.
+
+        None: none has, or an episode lacks it.
+        """
         rows = []
-        for one in self.finished:
-            episodes = one.episodes(start)
-            if not episodes or any(name not in episode for episode in episodes):
+        for episodes in filter(None, (one.episodes(start) for one in self.finished)):
+            if any(name not in episode for episode in episodes):
                 return None
             rows.append([float(episode[name]) for episode in episodes])
         if not rows:

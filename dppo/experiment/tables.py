@@ -103,8 +103,8 @@ def within_policies(results: Results, start: str) -> Table | None:
     for env, key, arm in found:
         columns["environment"].append(env)
         columns["arm"].append(arm["label"])
-        count = arm["evaluation"][start]["episodes_per_seed"]
-        columns["seeds x episodes"].append(f"{len(arm['seeds'])} x {count}")
+        one = arm["evaluation"][start]
+        columns["seeds x episodes"].append(f"{one['seeds']} x {one['episodes_per_seed']}")
         for name, text in _of_policy(arm, start, is_base=key == results["baseline"]):
             columns.setdefault(name, []).append(text)
     columns = {

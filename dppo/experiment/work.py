@@ -67,8 +67,8 @@ class Work:
             return self._report_at_last()
         finally:
             self._reporter.end()
-            for child in self._children:  # only after an error of our own
-                child.kill()
+            for child in self._children:  # only after an error of our own: they save and end
+                child.ask_to_end()
 
     def _start_what_can_be(self) -> None:
         now = time.monotonic()
