@@ -1,5 +1,6 @@
 """The figures of an arm on an environment, and of the arm against the baseline."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -107,7 +108,9 @@ def _within(returns: Floats, label: str) -> dict[str, Any]:
 def calibration(cell: Cell) -> dict[str, Any] | None:
     """Mean over seeds of each number of `dppo eval`'s calibration; None: no seed has one."""
     found = [
-        one.evaluation["calibration"] for one in cell.finished if "calibration" in one.evaluation
+        _flat(one.evaluation["calibration"])
+        for one in cell.finished
+        if "calibration" in one.evaluation
     ]
     if not found:
         return None
@@ -117,6 +120,19 @@ def calibration(cell: Cell) -> dict[str, Any] | None:
         for name in names
         if len(values := [one[name] for one in found if _is_number(one.get(name))]) == len(found)
     }
+
+
+def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
+    """With the standard deviations from the start states: root mean squares over those."""
+    starts = values.get("starts")
+    if not isinstance(starts, list | tuple) or not starts:
+        return dict(values)
+    found = {}
+    for name in ("predicted_std", "empirical_std"):
+        stds = [one.get(name) for one in starts]
+        if all(map(_is_number, stds)):
+            found[name] = float(np.sqrt(np.mean(np.square(stds))))
+    return found | dict(values)
 
 
 def comparison(cell: Cell, base: Cell) -> dict[str, Any] | None:

@@ -1,5 +1,6 @@
 """Progress of a grid: a bar on a terminal, plain lines elsewhere."""
 
+import contextlib
 import sys
 from dataclasses import dataclass
 from types import TracebackType
@@ -67,10 +68,9 @@ class Console:
         if self._bar is not None:
             self._bar.console.print(text, highlight=False, markup=False)
             return
-        try:
+        # a full disk, a pipe that nobody reads: the line is lost, the grid goes on
+        with contextlib.suppress(OSError):
             print(text, flush=True)
-        except OSError:
-            pass  # a full disk, a pipe that nobody reads: the line is lost, the grid goes on
 
     def show(self, standing: Standing, now: float) -> None:
         """The newest standing; `now` in seconds on the caller's clock."""

@@ -12,13 +12,21 @@ report, too.
 from pathlib import Path
 from typing import Any
 
+from dppo.config import Config
+
 _ALWAYS = {"return": float, "length": int}
 _PERHAPS = ("discounted_return", "terminated")
 
 
-def evaluation_words(run_dir: Path, episodes: int) -> list[str]:
+def evaluation_words(run_dir: Path, config: Config, episodes: int) -> list[str]:
     """The command for a run: its last policy, actions sampled as in training."""
-    return ["eval", str(run_dir), "--which", "newest", "--episodes", str(episodes), "--json"]
+    words = ["eval", str(run_dir), "--which", "newest", "--episodes", str(episodes), "--json"]
+    words.append("--fixed-start")
+    returns = config.returns
+    is_variance = (returns.gamma_bar, returns.delta_reward) == ("paper", "scaled")
+    if config.safety.variance_critic and is_variance and episodes > 1:
+        words.append("--calibration")  # of other runs σ is not the variance of a return
+    return words
 
 
 def normalised(values: Any) -> dict[str, Any]:  # noqa: ANN401  any JSON

@@ -127,13 +127,13 @@ def in_order(runs: Iterable[Run]) -> list[Run]:
     """As they are started: seed by seed, so that a part of the grid is a whole comparison.
 
     Within a seed the longest first: what is left at the end is short, and no core idles long.
+    What takes equally long stays in its order.
     """
     return sorted(
         runs,
         key=lambda run: (
             run.seed,
             -round(run.real_steps * guessed_seconds_per_step(run.env), 6),
-            run.name,
         ),
     )
 

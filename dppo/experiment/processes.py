@@ -70,7 +70,7 @@ def start(folder: Folder, task: Task, episodes: int, now: float) -> Child:
         words = ["learner", "--supervised", str(os.getpid()), *trainer_words(folder, task)]
         answer = None
     else:
-        words = ["dppo", *evaluation_words(folder.run(task.run), episodes)]
+        words = ["dppo", *evaluation_words(folder.run(task.run), task.run.config, episodes)]
         answer = tempfile.TemporaryFile()  # noqa: SIM115  lives as long as the process
     steps = folder.steps(task.run)
     with folder.log(task.run).open("ab") as log:

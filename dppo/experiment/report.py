@@ -5,7 +5,7 @@ import io
 import itertools
 import json
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 from dppo.experiment.compare import LAST
@@ -92,7 +92,7 @@ def _what_ran(results: Results) -> Iterator[Block]:
     seeds = sorted({len(arm["seeds_planned"]) for arm in arms})
     yield Paragraph(
         f"{runs['finished']} of {runs['planned']} runs have finished: "
-        f"{len(results['environments'])} environments, {_numbers(seeds)} seeds an arm, "
+        f"{_count(results['environments'], 'environment')}, {_numbers(seeds)} seeds an arm, "
         f"{_numbers(steps)} environment steps a run. Every number is in `results.json`; the "
         "curves are in `curves.csv`."
     )
@@ -187,6 +187,10 @@ def _is_of(words: Sequence[str], env: str, seed: int) -> bool:
 
 def _arms(results: Results) -> list[Results]:
     return [arm for one in results["environments"].values() for arm in one["arms"].values()]
+
+
+def _count(things: Collection[object], name: str) -> str:
+    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
 
 
 def _numbers(values: Sequence[int]) -> str:

@@ -21,6 +21,8 @@ Interval = tuple[float, float]
 Statistic = Callable[[Floats], Floats]
 """Over the last axis."""
 RESAMPLES, NESTED_RESAMPLES = 10_000, 2_000
+_AT_ONCE = 200
+"""Nested resamples: all of many episodes would take gigabytes."""
 LEVEL = 0.95
 
 
@@ -63,12 +65,12 @@ def resampled(scores: Floats, statistic: Statistic, label: str) -> Floats:
 def resampled_nested(episodes: Floats, statistic: Statistic, label: str) -> Floats:
     """[R] mean over seeds of a statistic of episodes [n, E], both resampled."""
     generator, (seeds, count) = _generator(label), episodes.shape
-    values = np.empty(NESTED_RESAMPLES)
-    for at in range(NESTED_RESAMPLES):
-        rows = generator.integers(seeds, size=(seeds, 1))
-        columns = generator.integers(count, size=(seeds, count))
-        values[at] = statistic(episodes[rows, columns]).mean()
-    return values
+    values = []
+    for _ in range(NESTED_RESAMPLES // _AT_ONCE):
+        rows = generator.integers(seeds, size=(_AT_ONCE, seeds, 1))
+        columns = generator.integers(count, size=(_AT_ONCE, seeds, count))
+        values.append(statistic(episodes[rows, columns]).mean(axis=1))
+    return np.concatenate(values)
 
 
 def interval(values: Floats) -> Interval | None:
@@ -101,7 +103,7 @@ def _improvements(scores: Floats, others: Floats) -> Floats:
     for place in range(scores.shape[1]):  # one after the other: all pairs at once are R n m
         gaps = scores[:, place, None] - others
         found += ((gaps > 0) + 0.5 * (gaps == 0)).mean(axis=1)
-    return found / scores.shape[1]
+    return np.asarray(found / scores.shape[1])
 
 
 @dataclass(frozen=True, slots=True)

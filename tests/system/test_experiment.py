@@ -109,7 +109,7 @@ def test_a_learner_gets_the_settings_that_the_plan_resolved(unkilled):
 
 def test_finished_it_trains_nothing_again_and_reports_all_that_was_ever_planned(harness, unkilled):
     folder = harness.folder / "grid"
-    os.symlink(unkilled, folder)
+    folder.symlink_to(unkilled)
     before = hashes(folder)
     process, _ = grid(harness, "--jobs", "1", seeds=1)
     assert process.wait() == 0, process.text
@@ -120,7 +120,7 @@ def test_finished_it_trains_nothing_again_and_reports_all_that_was_ever_planned(
 
 
 def test_a_folder_with_runs_of_other_settings_is_refused(harness, unkilled):
-    os.symlink(unkilled, harness.folder / "grid")
+    (harness.folder / "grid").symlink_to(unkilled)
     process, _ = grid(harness, iterations=ITERATIONS + 1)
     refuses(process, "with other settings", "--total-timesteps was 38400, is 38656")
 

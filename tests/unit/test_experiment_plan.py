@@ -1,5 +1,7 @@
 """What an experiment runs, in which order, and what it refuses."""
 
+from typing import Any
+
 import pytest
 
 from dppo.errors import UsageError
@@ -13,7 +15,7 @@ from dppo.experiment.table2 import ENVIRONMENTS, table2
 
 
 def grid_of(**changes):
-    values = {
+    values: dict[str, Any] = {
         "envs": ENVIRONMENTS, "psis": (), "seeds": 5, "steps": 3_000_000, "evaluate": 100,
         "settings": {},
     }  # fmt: skip

@@ -54,12 +54,15 @@ def test_the_probability_of_improvement_counts_pairs_and_half_of_the_ties():
     assert improvement(np.array([1.0, 2.0]), np.array([0.0, 2.0])) == 0.625  # (1 + 0 + 1 + .5) / 4
     u = stats.mannwhitneyu(FIVE, OTHERS).statistic
     assert improvement(FIVE, OTHERS) == pytest.approx(u / 25)
-    low, high = improvement_interval(FIVE, OTHERS, "x")
+    bounds = improvement_interval(FIVE, OTHERS, "x")
+    assert bounds is not None
+    low, high = bounds
     assert 0 <= low <= improvement(FIVE, OTHERS) <= high <= 1
 
 
 def test_welch_is_scipys_and_its_interval_is_worked_out_from_the_t_distribution():
     found = welch(OTHERS, FIVE)
+    assert found is not None
     assert found.p == pytest.approx(stats.ttest_ind(OTHERS, FIVE, equal_var=False).pvalue)
     a, b = OTHERS.var(ddof=1) / 5, FIVE.var(ddof=1) / 5
     freedom = (a + b) ** 2 / (a**2 / 4 + b**2 / 4)
@@ -108,7 +111,10 @@ def test_nested_resampling_shows_the_spread_between_seeds_as_well_as_within():
     generator = np.random.default_rng(4)
     within = generator.normal(size=(5, 100))
     apart = within + 10 * np.arange(5.0)[:, None]  # seeds that differ
-    widths = [np.ptp(interval(resampled_nested(one, mean, "a"))) for one in (within, apart)]
+    widths = [
+        float(np.ptp(np.array(interval(resampled_nested(one, mean, "a")))))
+        for one in (within, apart)
+    ]
     assert widths[0] < 0.4  # about 4 x 1 / √500 = 0.18
     # the seeds' means 0, 10 .. 40 have a standard deviation of √200: ± 2 x √200 / √5 = ± 12.6
     assert widths[1] == pytest.approx(2 * 1.96 * np.sqrt(200 / 5), rel=0.15)
