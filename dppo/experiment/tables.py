@@ -5,7 +5,7 @@ from typing import Any
 
 from dppo.experiment.page import Table
 from dppo.experiment.results import Results
-from dppo.experiment.verdicts import claims, of_mean, of_policies, of_spread, rows
+from dppo.experiment.verdicts import claims, of_goal, of_mean, of_policies, of_spread, rows
 
 _NOTHING = "–"
 
@@ -128,6 +128,8 @@ def _of_policy(arm: Results, start: str, *, is_base: bool) -> Iterator[tuple[str
         yield title, _NOTHING if discounted is None else _with_ends(discounted, name)
     verdict = of_policies(arm["against_baseline"], start) if against else _NOTHING
     yield "against the baseline", "baseline" if is_base else verdict
+    goal = of_goal(arm["against_baseline"], start) if against else _NOTHING
+    yield "30 % less spread for 5 % of the mean", goal
 
 
 def calibrations(results: Results) -> Table | None:

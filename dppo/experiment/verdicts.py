@@ -4,10 +4,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from dppo.experiment.paper import Reported, reported
+from dppo.experiment.paper import TABLE_2, Reported, reported
 
 SIGNIFICANT = 0.05
 PSI_TOLERANCE = 1e-9
+GOAL_SPREAD, GOAL_MEAN = 0.7, 0.95
+"""What a safe policy's user would want: times the baseline's spread at most, mean at least."""
 Summary = Mapping[str, Any]
 
 
@@ -54,6 +56,19 @@ def of_policies(comparison: Summary, start: str) -> str:
         spread = of_interval(found["std_difference_interval"], seeds)
     mean = of_interval(found["mean_difference_interval"], seeds)
     return f"spread {spread}; mean {mean}"
+
+
+def of_goal(comparison: Summary, start: str) -> str:
+    """Is the spread within a policy 30 % lower, for at most 5 % of the mean?"""
+    found = comparison[start]
+    ratios = [found.get(f"{name}_ratio") for name in ("std", "mean")]
+    if None in ratios:
+        return "not judged: the baseline's mean or spread is not above 0"
+    (_, most), (least, _) = (found[f"{name}_ratio_interval"] for name in ("std", "mean"))
+    if most <= GOAL_SPREAD and least >= GOAL_MEAN:
+        return "yes"
+    reached = ratios[0] <= GOAL_SPREAD and ratios[1] >= GOAL_MEAN
+    return "the estimate only, not the intervals" if reached else "no"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,16 +148,14 @@ def _in_all(found: list[Row]) -> tuple[str, str, str]:
     return (
         "Safety boosts performance in all 4 environments, in mean or in spread",
         f"shown in {len(shown)} of {len(found)} environments{_named(shown)}",
-        "Holds here." if len(shown) == len(found) == 4 else "Not shown here in all four.",
+        _in_all_four(found, len(shown)),
     )
 
 
 def _outperforms(found: list[Row]) -> tuple[str, str, str]:
     higher = [row.env for row in found if of_mean(row.comparison) == "higher"]
     lower = [row.env for row in found if of_mean(row.comparison) == "lower"]
-    verdict = "Holds here." if len(higher) == len(found) == 4 else "Not shown here in all four."
-    if lower:
-        verdict = "Does not hold here."
+    verdict = "Does not hold here." if lower else _in_all_four(found, len(higher))
     return (
         "It outperforms DPPO in all the environments (key contributions); its own Table 2 has a "
         "lower mean on Walker2d",
@@ -150,6 +163,14 @@ def _outperforms(found: list[Row]) -> tuple[str, str, str]:
         f"{len(lower)}{_named(lower)}",
         verdict,
     )
+
+
+def _in_all_four(found: list[Row], shown: int) -> str:
+    """Whether what is claimed of all environments is shown in all of them."""
+    there = len({row.paper.env for row in found})
+    if there < len(TABLE_2):
+        return f"Not decided: {there} of the {len(TABLE_2)} environments were run."
+    return "Holds here." if shown == len(found) else "Not shown here in all of them."
 
 
 def _judged(verdict: str, claimed: str) -> str:

@@ -2,6 +2,7 @@
 
 import json
 import re
+from typing import Any
 
 import pytest
 from scipy import stats
@@ -9,8 +10,8 @@ from scipy import stats
 from dppo.experiment.folder import Folder
 from dppo.experiment.plan import in_order
 from dppo.experiment.report import write_report
-from dppo.experiment.table2 import table2
-from dppo.experiment.verdicts import of_interval
+from dppo.experiment.table2 import ENVIRONMENTS, table2
+from dppo.experiment.verdicts import of_goal, of_interval
 
 PLAIN, SAFE = (1000.0, 1600.0, 3200.0, 4100.0, 5600.0), (7000.0, 7010.0, 7025.0, 7030.0, 7035.0)
 SESSION = {
@@ -109,7 +110,7 @@ def test_table_2_stands_beside_the_papers_with_a_judgement_from_intervals(whole)
     assert "| 20 | 5 / 5 | mean: higher; spread: lower |" in page
     assert "The claim holds here: higher." in page
     assert "The claim holds here: lower." in page
-    assert "shown in 1 of 1 environments (HalfCheetah-v4) | Not shown here in all four." in page
+    assert "shown in 1 of 1 environments (HalfCheetah-v4) | Not decided: 1 of the 4" in page
     assert "ψ 0.3" in page  # never only the best ψ, nor only the paper's
 
 
@@ -129,6 +130,7 @@ def test_policies_are_compared_by_nested_resampling(whole):
         assert found["std_difference_interval"][1] < 0
     assert "Within a policy: evaluation from one fixed start state" in page
     assert "| 100.0% [100.0%, 100.0%] |" in page
+    assert "spread lower; mean higher | yes |" in page
     assert "discounted std" in page
 
 
@@ -212,6 +214,33 @@ def test_environments_together_are_in_units_of_their_baselines(tmp_path):
     found = {arm: one["iqm"] for arm, one in results["over_environments"].items()}
     assert found == pytest.approx({"psi0": 1.0, "psi-paper": 2.0, "psi-twice": 0.5})
     assert "Over all environments" in page
+
+
+def against(std, mean):
+    """A comparison with these ratios, each with a tenth to both sides."""
+    found: dict[str, Any] = {}
+    for name, ratio in (("std", std), ("mean", mean)):
+        found |= {f"{name}_ratio": ratio, f"{name}_ratio_interval": [ratio - 0.1, ratio + 0.1]}
+    return {"free": found}
+
+
+@pytest.mark.parametrize(
+    ("std", "mean", "sentence"),
+    [(0.5, 1.1, "yes"), (0.65, 1.1, "the estimate only, not the intervals"),
+     (0.5, 1.0, "the estimate only, not the intervals"), (0.8, 1.1, "no"), (0.5, 0.9, "no")],
+)  # fmt: skip
+def test_a_goal_is_reached_when_both_intervals_are_beyond_it(std, mean, sentence):
+    assert of_goal(against(std, mean), "free") == sentence
+
+
+def test_a_claim_about_all_environments_takes_all_of_them(tmp_path):
+    folder, grid = planned(tmp_path, envs=ENVIRONMENTS, seeds=3)
+    for run in grid.runs:
+        leave(folder, run, 1000 * run.psi + 10.0 * run.seed)
+    _, page = report_of(folder)
+    assert "| mean higher in 4 of 4 (HalfCheetah-v4, Hopper-v4, Ant-v4, Walker2d-v4)" in page
+    assert page.count("| Holds here. |") == 2
+    assert "The claim does not hold here: higher." in page  # the paper's Walker has a lower mean
 
 
 @pytest.mark.parametrize(
