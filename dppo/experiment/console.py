@@ -21,8 +21,8 @@ class Standing:
     runs: int
     done: int
     failed: int
-    running: tuple[str, ...]
-    """What runs now, and how far it is."""
+    running: tuple[tuple[float, str], ...]
+    """What runs now: how far it is, 0 .. 1, and its name with a figure."""
 
     @property
     def figures(self) -> str:
@@ -36,6 +36,8 @@ class Console:
 
     def __init__(self) -> None:
         self._bar: Any = None
+        self._rows: list[Any] = []
+        """On the bar: the grid, and below it what runs."""
         self._last = -_PLAIN_SECONDS
 
     def __enter__(self) -> Self:
@@ -44,12 +46,11 @@ class Console:
             from rich.progress import BarColumn, Progress, TextColumn
 
             self._bar = Progress(
-                BarColumn(bar_width=24),
+                BarColumn(bar_width=20),
                 TextColumn("{task.percentage:5.1f} %"),
-                TextColumn("left {task.fields[left]}  {task.fields[figures]}"),
-                TextColumn("{task.fields[running]}"),
+                TextColumn("{task.description}", markup=False),
             )
-            self._task = self._bar.add_task("grid", total=1.0, left="?", figures="", running="")
+            self._rows.append(self._bar.add_task("starting", total=1.0))
             self._bar.start()
         return self
 
@@ -74,22 +75,20 @@ class Console:
 
     def show(self, standing: Standing, now: float) -> None:
         """The newest standing; `now` in seconds on the caller's clock."""
-        running = "  ".join(standing.running)
+        whole = f"left {clock(standing.left)}  {standing.figures}"
         if self._bar is not None:
-            self._bar.update(
-                self._task,
-                completed=standing.share,
-                left=clock(standing.left),
-                figures=standing.figures,
-                running=running,
-            )
-            return
-        if now - self._last < _PLAIN_SECONDS:
-            return
-        self._last = now
-        self.say(
-            f"{standing.share:6.1%}  left {clock(standing.left)}  {standing.figures}  {running}"
-        )
+            self._show_rows([(standing.share, whole), *standing.running])
+        elif now - self._last >= _PLAIN_SECONDS:
+            self._last = now
+            running = "  ".join(f"{text} {share:.0%}" for share, text in standing.running)
+            self.say(f"{standing.share:6.1%}  {whole}  {running}")
+
+    def _show_rows(self, rows: list[tuple[float, str]]) -> None:
+        while len(self._rows) < len(rows):
+            self._rows.append(self._bar.add_task("", total=1.0))
+        for place, row in enumerate(self._rows):
+            share, text = rows[place] if place < len(rows) else (0.0, "")
+            self._bar.update(row, completed=share, description=text, visible=place < len(rows))
 
 
 def clock(seconds: float) -> str:

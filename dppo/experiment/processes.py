@@ -15,8 +15,6 @@ from dppo.experiment.evaluation import Evaluator, normalised
 from dppo.experiment.folder import Folder
 from dppo.experiment.schedule import Stage, Task
 
-_FINAL_CODE = 2
-"""Wrong usage: it would end so again."""
 _TRAINER = (
     "--local-workers", "1", "--listen", "auto", "--resume", "auto", "--keep-checkpoints", "2",
 )  # fmt: skip
@@ -105,11 +103,6 @@ def outcome(folder: Folder, child: Child) -> str:
     path = folder.run(run).relative_to(folder.path) / "evaluation.json"
     folder.write(str(path), json.dumps(found) + "\n")
     return ""
-
-
-def may_try_again(child: Child) -> bool:
-    """Whether a failure may be another one, or none, the next time."""
-    return child.popen.returncode != _FINAL_CODE
 
 
 def _reason(folder: Folder, child: Child, code: int) -> str:

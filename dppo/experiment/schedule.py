@@ -1,7 +1,7 @@
 """Which run is next. A state machine without process and clock.
 
-A run is trained, then evaluated. What was interrupted is evaluated or trained on; one that fails
-is tried once more after all others, unless it would fail the same way again.
+A run is trained, then evaluated. What was interrupted is trained on, or evaluated. One that fails
+is tried once more after all others, whatever the reason: it costs seconds if it fails at once.
 """
 
 from collections.abc import Collection
@@ -77,10 +77,10 @@ class Schedule:
         if task.stage is Stage.TRAIN and evaluate:
             self._waiting.insert(0, Task(task.run, Stage.EVALUATE))
 
-    def failed_with(self, task: Task, reason: str, *, again: bool) -> bool:
+    def failed_with(self, task: Task, reason: str) -> bool:
         """The task has failed; will it be tried once more?"""
         self.running.remove(task)
-        if again and task.run.name not in self._tried:
+        if task.run.name not in self._tried:
             self._tried.add(task.run.name)
             self._waiting.append(task)
             return True

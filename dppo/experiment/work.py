@@ -9,12 +9,12 @@ from dppo.experiment.evaluation import Evaluator
 from dppo.experiment.folder import Folder
 from dppo.experiment.pace import GridPace
 from dppo.experiment.plan import Grid, Run, in_order
-from dppo.experiment.processes import Child, Reporter, may_try_again, outcome, start
+from dppo.experiment.processes import Child, Reporter, outcome, start
 from dppo.experiment.schedule import Schedule, Stage, Task
 from dppo.signals import Signals
 
 _LOOK_SECONDS = 1.0
-_GRACE_SECONDS = 8.0
+_GRACE_SECONDS = 7.0
 """For saving after SIGTERM; what is left then is killed."""
 _ORPHAN_SECONDS = 60.0
 """For learners of an experiment that was killed: they notice, save and end."""
@@ -83,7 +83,7 @@ class Work:
             try:
                 child = start(self._folder, task, self._evaluator, now)
             except OSError as error:  # no memory, no room for its log
-                self._failed(task, f"it cannot be started: {error}", again=True)
+                self._failed(task, f"it cannot be started: {error}")
                 continue
             self._children.append(child)
             self._watches[task.run.name] = Watch(child.steps, now)
@@ -101,7 +101,7 @@ class Work:
             reason = f"what it has left cannot be kept: {error}"
         self._account(child)
         if reason:
-            self._failed(task, reason, again=may_try_again(child))
+            self._failed(task, reason)
         else:
             self.schedule.succeeded(task, self._grid.evaluate > 0)
             self._console.say(f"{task.run.name}: {self._said_of(task)}")
@@ -109,8 +109,8 @@ class Work:
             self._note_failures()
             self._reporter.begin()
 
-    def _failed(self, task: Task, reason: str, *, again: bool) -> None:
-        if self.schedule.failed_with(task, reason, again=again):
+    def _failed(self, task: Task, reason: str) -> None:
+        if self.schedule.failed_with(task, reason):
             self._console.say(f"{task.run.name}: {reason}; it is tried once more at the end")
         else:
             self._console.say(f"{task.run.name}: FAILED: {reason}")
@@ -186,12 +186,12 @@ class Work:
             running=tuple(self._running(child) for child in self._children),
         )
 
-    def _running(self, child: Child) -> str:
+    def _running(self, child: Child) -> tuple[float, str]:
         run, watch = child.task.run, self._watches[child.task.run.name]
         if child.task.stage is Stage.EVALUATE:
-            return f"{run.name} evaluation"
+            return 1.0, f"{run.name} evaluation"
         score = "" if watch.score is None else f" return {watch.score:.0f}"
-        return f"{run.name} {watch.steps / run.real_steps:.0%}{score}"
+        return watch.steps / run.real_steps, f"{run.name}{score}"
 
     def _steps_of(self, run: Run) -> int:
         return run.real_steps if self._folder.is_trained(run) else self._folder.steps(run)

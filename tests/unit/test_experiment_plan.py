@@ -175,18 +175,30 @@ def test_what_was_trained_before_is_only_evaluated_and_comes_first():
     assert schedule.done == 1
 
 
-def test_a_failure_is_tried_once_more_at_the_end_unless_it_is_wrong_usage():
+def test_a_failure_is_tried_once_more_at_the_end():
     schedule = schedule_of(seeds=1)
-    first, second = schedule.start(), schedule.start()
-    assert schedule.failed_with(first, "killed", again=True)
-    assert not schedule.failed_with(second, "no such setting", again=False)
-    schedule.succeeded(schedule.start(), evaluate=False)
-    last = schedule.start()
-    assert last == first
-    assert not schedule.failed_with(last, "killed again", again=True)
+    first = schedule.start()
+    assert schedule.failed_with(first, "killed")
+    for _ in range(2):
+        schedule.succeeded(schedule.start(), evaluate=False)
+    assert schedule.start() == first
+    assert not schedule.failed_with(first, "killed again")
     assert schedule.is_over
-    assert schedule.done == 1
-    assert list(schedule.failed.values()) == ["no such setting", "killed again"]
+    assert schedule.done == 2
+    assert schedule.failed == {first.run.name: "killed again"}
+
+
+def test_a_run_that_was_trained_at_the_second_try_has_no_third_for_its_evaluation():
+    schedule = schedule_of(seeds=1)
+    first = schedule.start()
+    schedule.failed_with(first, "killed")
+    for _ in range(2):
+        schedule.succeeded(schedule.start(), evaluate=False)
+    schedule.succeeded(schedule.start(), evaluate=True)
+    task = schedule.start()
+    assert (task.run, task.stage) == (first.run, Stage.EVALUATE)
+    assert not schedule.failed_with(task, "no memory")
+    assert list(schedule.failed) == [first.run.name]
 
 
 def test_a_run_whose_folder_is_in_use_is_passed_over():
