@@ -25,6 +25,8 @@ from dppo.experiment.statistics import (
 
 LAST = (200, 100)
 """Training episodes: the paper's measure, and the one of `rollout/ep_rew_mean`."""
+MARKS = (1_000_000, 2_000_000, 3_000_000, 5_000_000, 10_000_000)
+"""Where returns are told on the way [env steps]."""
 STARTS = ("free", "fixed")
 _WITHIN: dict[str, Statistic] = {"mean": mean, "std": spread, "cvar10": cvar10}
 
@@ -41,6 +43,7 @@ def summary(cell: Cell) -> dict[str, Any]:
         "training": {f"last{count}": training(cell, count) for count in LAST}
         if cell.finished
         else {},
+        "on_the_way": on_the_way(cell),
         "evaluation": {
             start: found for start in STARTS if (found := evaluation(cell, start)) is not None
         },
@@ -67,6 +70,16 @@ def training(cell: Cell, count: int) -> dict[str, Any]:
         "iqm": float(interquartile_mean(scores)),
         "iqm_interval": _seeds_interval(scores, interquartile_mean, f"{label}/iqm"),
     }
+
+
+def on_the_way(cell: Cell) -> dict[str, Any]:
+    """Mean over seeds of the last 100 training episodes' mean return, at some steps of the run."""
+    found = {}
+    for steps in MARKS:
+        if steps <= cell.runs[0].real_steps and len(scores := cell.scores_at(steps)):
+            std = float(spread(scores)) if len(scores) > 1 else None
+            found[str(steps)] = {"mean": float(scores.mean()), "std_across_seeds": std}
+    return found
 
 
 def evaluation(cell: Cell, start: str) -> dict[str, Any] | None:

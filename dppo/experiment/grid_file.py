@@ -2,6 +2,7 @@
 
 import tomllib
 from collections.abc import Iterator, Mapping
+from math import isinf
 from pathlib import Path
 from typing import Any
 
@@ -120,4 +121,5 @@ def _seeds(value: object) -> list[int]:
 
 def _plain_arm(runs: list[Run]) -> str:
     """The first arm without a penalty, or the first."""
-    return next((run.arm for run in runs if run.psi == 0), runs[0].arm)
+    plain = (run.arm for run in runs if run.psi == 0 and isinf(run.config.safety.variance_limit))
+    return next(plain, runs[0].arm)

@@ -69,6 +69,12 @@ class Cell:
         """[n] mean return of the last training episodes of each seed."""
         return np.array([one.last(count) for one in self.finished])
 
+    def scores_at(self, steps: int) -> Floats:
+        """[n] mean return of the last 100 training episodes of each seed, so far into the run."""
+        return np.array(
+            [np.interp(steps, *one.curve) for one in self.finished if len(one.curve[0])]
+        )
+
     def evaluated(self, start: str, name: str) -> Floats | None:
         """[n, E] a number of the evaluation episodes of the seeds that have been evaluated.
 

@@ -27,6 +27,7 @@ from dppo.experiment.tables import (
     beside_the_paper,
     calibrations,
     claims_table,
+    on_the_way,
     over_environments,
     within_policies,
 )
@@ -76,6 +77,9 @@ def _blocks(results: Results, pictures: Sequence[tuple[str, str]]) -> Iterator[B
     yield Heading("Every arm: training returns")
     yield all_arms(results)
     yield Paragraph(_how_to_read(results))
+    if (table := on_the_way(results)) is not None:
+        yield Heading("On the way: mean return of the last 100 training episodes")
+        yield table
     if (table := over_environments(results)) is not None:
         yield Heading("Over all environments")
         yield table

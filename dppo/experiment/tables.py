@@ -84,6 +84,24 @@ def _against(comparison: Any) -> tuple[str, ...]:  # noqa: ANN401  JSON
     )
 
 
+def on_the_way(results: Results) -> Table | None:
+    """Returns before the end; None: the runs are shorter than the first mark."""
+    marks = sorted({mark for _, _, arm in _arms(results) for mark in arm["on_the_way"]}, key=int)
+    lines = [
+        (
+            env,
+            arm["label"],
+            *[
+                _pair(one["mean"], one["std_across_seeds"]) if one else _NOTHING
+                for one in map(arm["on_the_way"].get, marks)
+            ],
+        )
+        for env, _, arm in _arms(results)
+    ]
+    head = ("environment", "arm", *[f"{int(mark) / 1e6:g} million steps" for mark in marks])
+    return Table(head, lines) if marks else None
+
+
 def over_environments(results: Results) -> Table | None:
     """Interquartile means over environments; None: there are none."""
     lines = [

@@ -104,6 +104,10 @@ GOOD = {
 }
 
 
+LIMITED = "[arms.limited]\nvariance-limit = 10\n"
+"""Without a ψ of its own, but with one that moves: no baseline."""
+
+
 def written(tmp_path, arms, **changes):
     file = tmp_path / "grid.toml"
     lines = [f"{name} = {value}" for name, value in (GOOD | changes).items() if value]
@@ -113,9 +117,9 @@ def written(tmp_path, arms, **changes):
 
 def test_a_file_names_arms_that_may_differ_between_environments(tmp_path):
     arms = "[settings]\nnum-envs = 4\n[arms.safe]\npsi = 0.1\n[arms.safe.Ant-v4]\npsi = 0.3\n"
-    grid = read_grid(written(tmp_path, f"{arms}[arms.plain]\n", seeds="[3, 9]"))
+    grid = read_grid(written(tmp_path, f"{arms}{LIMITED}[arms.plain]\n", seeds="[3, 9]"))
     found = {(run.env, run.arm, run.seed): run.psi for run in grid.runs}
-    assert len(found) == 8
+    assert len(found) == 12
     assert found["Hopper-v4", "safe", 3] == 0.1
     assert found["Ant-v4", "safe", 9] == 0.3
     assert {run.config.rollout.num_envs for run in grid.runs} == {4}

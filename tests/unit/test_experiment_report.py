@@ -20,11 +20,11 @@ SESSION = {
 }  # fmt: skip
 
 
-def planned(tmp_path, envs=("HalfCheetah-v4",), seeds=5, evaluate=4):
+def planned(tmp_path, envs=("HalfCheetah-v4",), seeds=5, evaluate=4, steps=8192):
     """A folder in which nothing has run yet, and its grid."""
     folder = Folder(tmp_path / "out")
     folder.lock()
-    grid = table2(envs=envs, psis=(), seeds=seeds, steps=8192, evaluate=evaluate, settings={})
+    grid = table2(envs=envs, psis=(), seeds=seeds, steps=steps, evaluate=evaluate, settings={})
     folder.add_to_plan(grid, SESSION)
     return folder, grid
 
@@ -241,6 +241,28 @@ def test_a_claim_about_all_environments_takes_all_of_them(tmp_path):
     assert "| mean higher in 4 of 4 (HalfCheetah-v4, Hopper-v4, Ant-v4, Walker2d-v4)" in page
     assert page.count("| Holds here. |") == 2
     assert "The claim does not hold here: higher." in page  # the paper's Walker has a lower mean
+
+
+def test_returns_on_the_way_are_read_off_the_curves(tmp_path):
+    folder, grid = planned(tmp_path, seeds=2, steps=2_000_000)
+    rows = [
+        {"time/total_timesteps": 500_000, "rollout/ep_rew_mean": 100.0},
+        {"time/total_timesteps": 1_500_000, "rollout/ep_rew_mean": 300.0},
+    ]
+    for run in grid.runs:
+        leave(folder, run, 1000.0)
+        lines = [row | {"iteration": n} for n, row in enumerate(rows, 1)]
+        if run.seed == 2:
+            lines[1]["rollout/ep_rew_mean"] = 500.0
+        text = "".join(json.dumps(line) + "\n" for line in lines)
+        (folder.run(run) / "metrics.jsonl").write_text(text)
+    results, page = report_of(folder)
+    found = results["environments"]["HalfCheetah-v4"]["arms"]["psi0"]["on_the_way"]
+    # half-way between the rows: 200 and 300, whose standard deviation is 100 / √2
+    assert found["1000000"]["mean"] == 250
+    assert found["1000000"]["std_across_seeds"] == pytest.approx(70.711, abs=1e-3)
+    assert list(found) == ["1000000", "2000000"]
+    assert "| ψ 0 | 250.0 ± 70.7 |" in page
 
 
 @pytest.mark.parametrize(
