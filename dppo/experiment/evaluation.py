@@ -9,12 +9,8 @@ Every episode has a start, a return and a length. What else is missing in it is 
 report, too.
 """
 
-import re
-import subprocess
-import sys
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from dppo.config import Config
 
@@ -22,31 +18,15 @@ _ALWAYS = {"return": float, "length": int}
 _PERHAPS = ("discounted_return", "terminated")
 
 
-@dataclass(frozen=True, slots=True)
-class Evaluator:
-    """How finished runs are evaluated."""
-
-    episodes: int
-    """From free start states, and again from a fixed one; 0: no evaluation."""
-    flags: frozenset[str]
-    """What `dppo eval` can do here."""
-
-    @classmethod
-    def here(cls, episodes: int) -> Self:
-        """With the flags that its help names."""
-        command = [sys.executable, "-m", "dppo", "eval", "--help"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        return cls(episodes, frozenset(re.findall(r"--[a-z][a-z-]*", done.stdout)))
-
-    def words(self, run_dir: Path, config: Config) -> list[str]:
-        """The command for a run: its last policy, actions sampled as in training."""
-        words = ["eval", str(run_dir), "--which", "newest", "--episodes", str(self.episodes)]
-        words.append("--json")
-        returns, wanted = config.returns, ["--fixed-start"]
-        is_variance = (returns.gamma_bar, returns.delta_reward) == ("paper", "scaled")
-        if config.safety.variance_critic and is_variance and self.episodes > 1:
-            wanted.append("--calibration")  # of other runs σ is not the variance of a return
-        return words + [flag for flag in wanted if flag in self.flags]
+def evaluation_words(run_dir: Path, config: Config, episodes: int) -> list[str]:
+    """The command for a run: its last policy, actions sampled as in training."""
+    words = ["eval", str(run_dir), "--which", "newest", "--episodes", str(episodes), "--json"]
+    words.append("--fixed-start")
+    returns = config.returns
+    is_variance = (returns.gamma_bar, returns.delta_reward) == ("paper", "scaled")
+    if config.safety.variance_critic and is_variance and episodes > 1:
+        words.append("--calibration")  # of other runs σ is not the variance of a return
+    return words
 
 
 def normalised(values: Any) -> dict[str, Any]:  # noqa: ANN401  any JSON

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from dppo.experiment.evaluation import Evaluator, normalised
+from dppo.experiment.evaluation import evaluation_words, normalised
 from dppo.experiment.folder import Folder
 from dppo.experiment.schedule import Stage, Task
 
@@ -61,14 +61,14 @@ def trainer_words(folder: Folder, task: Task) -> list[str]:
     return [*task.run.words, *_TRAINER, "--run-dir", str(folder.run(task.run))]
 
 
-def start(folder: Folder, task: Task, evaluator: Evaluator, now: float) -> Child:
+def start(folder: Folder, task: Task, episodes: int, now: float) -> Child:
     """Start the process of a task."""
     if task.stage is Stage.TRAIN:
         # the learner ends with its parent, as it does with its supervisor
         words = ["learner", "--supervised", str(os.getpid()), *trainer_words(folder, task)]
         answer = None
     else:
-        words = ["dppo", *evaluator.words(folder.run(task.run), task.run.config)]
+        words = ["dppo", *evaluation_words(folder.run(task.run), task.run.config, episodes)]
         answer = tempfile.TemporaryFile()  # noqa: SIM115  lives as long as the process
     steps = folder.steps(task.run)
     with folder.log(task.run).open("ab") as log:

@@ -5,7 +5,6 @@ import time
 from dataclasses import dataclass
 
 from dppo.experiment.console import Console, Standing
-from dppo.experiment.evaluation import Evaluator
 from dppo.experiment.folder import Folder
 from dppo.experiment.pace import GridPace
 from dppo.experiment.plan import Grid, Run, in_order
@@ -38,7 +37,6 @@ class Work:
     def __init__(self, folder: Folder, grid: Grid, jobs: int, console: Console) -> None:
         """Takes over the signals of this process."""
         self._folder, self._grid, self._jobs, self._console = folder, grid, jobs, console
-        self._evaluator = Evaluator.here(grid.evaluate)
         self._signals = Signals()
         runs = in_order(grid.runs)
         self.schedule = Schedule(
@@ -81,7 +79,7 @@ class Work:
             }
         while len(self._children) < self._jobs and (task := self.schedule.start(busy)):
             try:
-                child = start(self._folder, task, self._evaluator, now)
+                child = start(self._folder, task, self._grid.evaluate, now)
             except OSError as error:  # no memory, no room for its log
                 self._failed(task, f"it cannot be started: {error}")
                 continue

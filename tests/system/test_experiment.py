@@ -87,7 +87,11 @@ def test_its_report_and_files_hold_what_was_run(unkilled):
         assert arm["seeds"] == [1, 2]
         assert arm["exact"]
         assert len(arm["training"]["last200"]["by_seed"]) == 2
-        assert arm["evaluation"]["free"]["episodes_per_seed"] == 3
+        for start in ("free", "fixed"):
+            found = arm["evaluation"][start]
+            assert found["episodes_per_seed"] == 3
+            assert {"discounted", "falls"} <= set(found)
+        assert {"ratio", "predicted_std", "empirical_std"} <= set(arm["calibration"])
     page, web = ((unkilled / name).read_text() for name in ("report.md", "report.html"))
     for word in ("4 of 4 runs", "ψ 0.1", f"--total-timesteps {STEPS}", "mujoco", "--seeds 2"):
         assert word in page
