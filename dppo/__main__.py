@@ -1,4 +1,4 @@
-"""`dppo`: looks at what runs leave, replays and disturbs them; measures the machine; Four Rooms.
+"""`dppo`: looks at what runs leave, replays, disturbs and compares them; measures; Four Rooms.
 
 Training is `dppo-learner`.
 """
@@ -13,7 +13,7 @@ from dppo.settings import require
 
 _USAGE = (
     "usage: dppo {eval,export,video,watch,checkpoint,replay} RUN [options], or dppo "
-    "{four-rooms,bench,chaos} [options]; --help after one of these says more"
+    "{four-rooms,bench,chaos,experiment} [options]; --help after one of these says more"
 )
 
 
@@ -89,13 +89,17 @@ def _command(words: list[str]) -> int:
 
             own, learner_flags = chaos.split(rest)
             return chaos.run(parse(chaos.ChaosArgs, own, "dppo chaos"), learner_flags)
+        case ["experiment", *rest]:
+            from dppo.experiment import command as experiment
+
+            return experiment.run(rest)
         case ["-h" | "--help", *_]:
             print(f"{_USAGE}\n\n{__doc__}")
             return 0
     found = words[0] if words else "nothing"
     print(
         f"error: found {found}, expected eval, export, video, watch, checkpoint, replay, "
-        f"four-rooms, bench or chaos\n"
+        f"four-rooms, bench, chaos or experiment\n"
         f"{_USAGE}",
         file=sys.stderr,
     )

@@ -1,6 +1,7 @@
-"""Small files that are whole: the old one or the new one, whatever stops the writing."""
+"""Small files that are whole, the old one or the new one, whatever stops the writing; locks."""
 
 import contextlib
+import fcntl
 import os
 from pathlib import Path
 
@@ -42,3 +43,21 @@ def replace_durably(path: Path, data: bytes) -> None:
             draft.unlink()
         raise
     flush_folder(path.parent)
+
+
+def take_lock(path: Path) -> int | None:
+    """Lock a file for this process, however it ends; None: another one has the lock.
+
+    Raises:
+        OSError: the file cannot be made, or its file system keeps no locks.
+    """
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        return None
+    except OSError:
+        os.close(handle)
+        raise
+    return handle

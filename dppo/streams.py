@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-Purpose = Literal["init", "action", "minibatch", "reset", "evaluation", "four-rooms"]
+Purpose = Literal["init", "action", "minibatch", "reset", "evaluation", "four-rooms", "experiment"]
 _PURPOSES: tuple[Purpose, ...] = (  # the place is the key: new ones at the end
-    "init", "action", "minibatch", "reset", "evaluation", "four-rooms",
+    "init", "action", "minibatch", "reset", "evaluation", "four-rooms", "experiment",
 )  # fmt: skip
 
 

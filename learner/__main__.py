@@ -96,7 +96,7 @@ def main(argv: list[str] | None = None) -> None:
     words = sys.argv[1:] if argv is None else argv
     supervisor = None
     if words[:1] == ["--supervised"] and words[1:2] != [] and words[1].isdecimal():
-        supervisor, words = int(words[1]), words[2:]  # a child of the supervisor's: not for people
+        supervisor, words = int(words[1]), words[2:]  # from a supervisor or an experiment
     arguments = normalised(words, _ALIASES, _WHOLE_NUMBERS)
 
     def work() -> int:

@@ -57,6 +57,8 @@ class IterationReport:
     """Environment steps of all slots so far."""
     metrics: dict[str, float]
     """Name (as SB3 and CleanRL call it) to value."""
+    episodes: tuple[tuple[float, float], ...] = ()
+    """Return and length of those that ended in the iteration, in slot order."""
 
 
 def summarise(
@@ -102,4 +104,9 @@ def summarise(
         iteration=after.iteration,
         env_steps=after.iteration * config.rollout.samples,
         metrics=metrics,
+        episodes=tuple(
+            (float(episode[0]), float(episode[1]))
+            for answer in collected
+            for episode in answer.episodes.reshape(-1, 2)
+        ),
     )

@@ -1,4 +1,4 @@
-"""Reports to files: metrics, ledger and TensorBoard, in step with the checkpoints.
+"""Reports to files: metrics, episodes, ledger and TensorBoard, in step with the checkpoints.
 
 A resumed run takes up its files where the checkpoint stands: lines of iterations that will be run
 again are cut off, so every iteration has one line. Nothing here waits for the disk; see `disk.py`.
@@ -59,6 +59,7 @@ class RunLog:
 
         # the iteration under way notes what was dropped, counted from 0
         self._ledger = _taken_up(folder / "ledger.jsonl", iteration - 1, disk, keep)
+        self._episodes = _taken_up(folder / "episodes.jsonl", iteration, disk, lambda _row: None)
         self._table = disk.file("progress.csv", 0)
         self._table.write(_cells([*_HEADER]) + b"".join(map(_row, rows)))
         self._board: Any = None
@@ -74,6 +75,10 @@ class RunLog:
         }
         self._metrics.write(_line(row))
         self._table.write(_row(row))
+        if report.episodes:
+            returns, lengths = zip(*report.episodes, strict=True)
+            ended = {"iteration": report.iteration, "returns": returns, "lengths": lengths}
+            self._episodes.write(_line(ended))
         self._scalars(report.env_steps, metrics | {"time/fps": metrics["charts/SPS"]})
 
     def note(self, line: Line) -> None:

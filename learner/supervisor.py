@@ -9,7 +9,6 @@ started again; one that a signal ended or that failed is, up to N times in all.
 """
 
 import os
-import select
 import signal
 import subprocess
 import sys
@@ -18,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from dppo.backoff import Backoff
+from dppo.signals import Signals
 
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 30.0
 _LONG_LIFE = 60.0
@@ -72,32 +72,6 @@ def signal_name(number: int) -> str:
 def exit_code(code: int) -> int:
     """As a shell says it: 128 + number for a signal."""
     return 128 - code if code < 0 else code
-
-
-class Signals:
-    """SIGTERM, SIGINT and SIGCHLD as values that can be waited for."""
-
-    def __init__(self) -> None:
-        """Takes the three over from here on."""
-        self._reader, writer = os.pipe()
-        os.set_blocking(writer, False)
-        signal.set_wakeup_fd(writer)
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGCHLD):
-            signal.signal(number, lambda _number, _frame: None)
-
-    def next(self, timeout: float | None) -> int | None:
-        """The number of the next one that arrives; None after `timeout` seconds."""
-        readable, _, _ = select.select([self._reader], [], [], timeout)
-        return os.read(self._reader, 1)[0] if readable else None
-
-    def next_request(self, seconds: float) -> int | None:
-        """The next that asks for an end; None after so many seconds."""
-        until = time.monotonic() + seconds
-        while (left := until - time.monotonic()) > 0:
-            number = self.next(left)
-            if number in (signal.SIGTERM, signal.SIGINT):
-                return number
-        return None
 
 
 def supervise(command: Sequence[str], again: Sequence[str], restarts: int) -> int:

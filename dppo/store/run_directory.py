@@ -3,15 +3,14 @@
 config.json       resolved settings, versions, hash of the model XML
 progress.csv      one row per iteration        metrics.jsonl   the same, one object per line
 checkpoints/      see checkpoint.py            ledger.jsonl    see ledger.py
+episodes.jsonl    returns and lengths of the episodes that ended in each iteration
 log.txt           what the learner logged      result.json     how it ended
 generation        how often a learner was started here
 run-id            the run's random id, the same in every copy of the folder
 superseded        why no learner goes on here: the run has gone on elsewhere
 """
 
-import fcntl
 import json
-import os
 import re
 import secrets
 import shutil
@@ -22,7 +21,7 @@ from typing import Any
 
 from dppo.config import Config
 from dppo.errors import SupersededError, UsageError
-from dppo.files import replace_durably
+from dppo.files import replace_durably, take_lock
 from dppo.store.checkpoint import names
 
 _RUN_ID = re.compile("[0-9a-f]{16}")
@@ -55,18 +54,15 @@ class RunDirectory:
         try:
             is_new = not path.exists()
             (path / "checkpoints").mkdir(parents=True, exist_ok=True)
-            lock = os.open(path / ".lock", os.O_RDWR | os.O_CREAT, 0o644)
+            lock = take_lock(path / ".lock")
         except OSError as error:
             raise UsageError(
                 f"--run-dir {path} cannot be written: {error.strerror}; give a folder of yours"
             ) from error
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            os.close(lock)
+        if lock is None:
             raise UsageError(
                 f"another learner is at work in --run-dir {path}; stop it, or give another folder"
-            ) from error
+            )
         return cls(path, is_new, lock)
 
     @property

@@ -105,6 +105,7 @@ def test_packages_may_only_import_whom_they_may():
 
 CALENDARS = {
     "dppo/chaos/command.py": 1,  # name of a new folder
+    "dppo/experiment/command.py": 1,  # for people, when it was started
     "dppo/store/run_directory.py": 1,  # name of a new folder
     "learner/runlog.py": 2,  # columns for people
 }

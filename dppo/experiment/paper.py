@@ -1,0 +1,52 @@
+"""What the paper reports: Safe Actor-Critic, Table 2 and figures 6 to 9."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reported:
+    """One row of Table 2: mean ± standard deviation across seeds, last 200 training episodes."""
+
+    env: str
+    psi: float
+    plain: tuple[float, float]
+    safe: tuple[float, float]
+    seeds: int
+    figure: int
+    claim_mean: str
+    mean_rises: bool
+    """The text says that ψ raises the mean."""
+
+
+TABLE_2 = (
+    Reported(
+        env="HalfCheetah", psi=0.15, plain=(3614.3, 1424), safe=(4256, 1002), seeds=20, figure=6,
+        claim_mean="improved mean score along with significant reduction in the standard "
+        "deviation",
+        mean_rises=True,
+    ),
+    Reported(
+        env="Hopper", psi=0.075, plain=(3688.9, 163), safe=(3749.5, 153), seeds=15, figure=8,
+        claim_mean="small gain in the mean score along with small amount of reduction in the "
+        "standard deviation",
+        mean_rises=True,
+    ),
+    Reported(
+        env="Ant", psi=0.1, plain=(808.7, 554), safe=(2342.1, 360), seeds=5, figure=7,
+        claim_mean="much better mean performance with a reduction in the standard deviation",
+        mean_rises=True,
+    ),
+    Reported(
+        env="Walker2d", psi=0.075, plain=(6506.5, 1121), safe=(6191.5, 857), seeds=5, figure=9,
+        claim_mean="the mean score drops, but the standard deviation is lower",
+        mean_rises=False,
+    ),
+)  # fmt: skip
+
+
+def reported(env: str) -> Reported | None:
+    """The paper's row for an environment of any version; variants of it have none."""
+    name, _, version = env.partition("-v")
+    if not version.isdecimal():
+        return None
+    return next((row for row in TABLE_2 if row.env == name), None)

@@ -1,0 +1,201 @@
+"""The report: results.json, curves.csv, pictures, report.md and report.html."""
+
+import csv
+import io
+import itertools
+import json
+import shlex
+from collections.abc import Collection, Iterator, Sequence
+from pathlib import Path
+
+from dppo.experiment.compare import LAST
+from dppo.experiment.folder import Folder, Plan
+from dppo.experiment.measure import Cell, curve_of
+from dppo.experiment.page import (
+    Block,
+    Bullets,
+    Code,
+    Heading,
+    Paragraph,
+    Picture,
+    to_html,
+    to_markdown,
+)
+from dppo.experiment.results import Results, describe
+from dppo.experiment.tables import (
+    all_arms,
+    beside_the_paper,
+    calibrations,
+    claims_table,
+    on_the_way,
+    over_environments,
+    within_policies,
+)
+
+_MANY = 30
+
+
+def write_report(folder: Folder, plan: Plan) -> Path:
+    """Everything that can be said of the runs that have finished; the page's path."""
+    from dppo.experiment.figures import save_figures
+
+    results, cells = describe(folder, plan)
+    folder.write("results.json", json.dumps(results, indent=1) + "\n")
+    folder.write("curves.csv", _curves(cells))
+    blocks = list(_blocks(results, save_figures(folder.path, cells)))
+    folder.write("report.md", to_markdown(blocks))
+    folder.write("report.html", to_html(blocks, folder.path))
+    return folder.path / "report.md"
+
+
+def _curves(cells: Sequence[Cell]) -> str:
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(["env", "arm", "psi", "seeds", "env_steps", "return_mean", "return_std"])
+    for cell in cells:
+        curve = curve_of(cell)
+        if curve is None:
+            continue
+        for steps, mean, std in zip(*(curve[name] for name in curve), strict=True):
+            row = [cell.env, cell.arm, f"{cell.psi:g}", len(cell.finished)]
+            table.writerow([*row, f"{steps:.0f}", f"{mean:.6g}", f"{std:.6g}"])
+    return text.getvalue()
+
+
+def _blocks(results: Results, pictures: Sequence[tuple[str, str]]) -> Iterator[Block]:
+    yield Heading(results["title"], 1)
+    yield from _what_ran(results)
+    if (table := beside_the_paper(results)) is not None:
+        yield Heading("Table 2: the paper's numbers and ours")
+        yield table
+        yield Paragraph(
+            "Mean ± standard deviation across seeds of the mean return of the last 200 training "
+            "episodes. The paper prints only the best ψ; all that were run here are below."
+        )
+        yield Heading("The paper's claims")
+        yield claims_table(results)
+    yield Heading("Every arm: training returns")
+    yield all_arms(results)
+    yield Paragraph(_how_to_read(results))
+    if (table := on_the_way(results)) is not None:
+        yield Heading("On the way: mean return of the last 100 training episodes")
+        yield table
+    if (table := over_environments(results)) is not None:
+        yield Heading("Over all environments")
+        yield table
+    yield from _evaluation(results)
+    if pictures:
+        yield Heading("Figures")
+        yield from (Picture(name, caption) for name, caption in pictures)
+    yield from _settings(results)
+
+
+def _what_ran(results: Results) -> Iterator[Block]:
+    runs, arms = results["runs"], _arms(results)
+    steps = sorted({arm["steps"] for arm in arms})
+    seeds = sorted({len(arm["seeds_planned"]) for arm in arms})
+    yield Paragraph(
+        f"{runs['finished']} of {runs['planned']} runs have finished: "
+        f"{_count(results['environments'], 'environment')}, {_numbers(seeds)} seeds an arm, "
+        f"{_numbers(steps)} environment steps a run. Every number is in `results.json`; the "
+        "curves are in `curves.csv`."
+    )
+    if results["status"] == "partial":
+        missing = runs["missing"]
+        more = f" and {len(missing) - _MANY} more" if len(missing) > _MANY else ""
+        names = ", ".join(missing[:_MANY])
+        yield Paragraph(
+            "**This is a partial grid.** What follows is of the finished runs alone, and arms may "
+            "have different seeds." + (f" Missing: {names}{more}." if missing else "")
+        )
+    if runs["failed"]:
+        yield Paragraph("**Failed runs:**")
+        yield Bullets([f"{name}: {reason}" for name, reason in runs["failed"].items()])
+    inexact = [arm["label"] for arm in arms if arm["seeds"] and not arm["exact"]]
+    if inexact:
+        yield Paragraph(f"Not exact (`exact: false` in result.json): {', '.join(inexact)}.")
+
+
+def _evaluation(results: Results) -> Iterator[Block]:
+    for start, words in (("free", "free start states"), ("fixed", "one fixed start state")):
+        table = within_policies(results, start)
+        if table is None:
+            continue
+        yield Heading(f"Within a policy: evaluation from {words}")
+        yield table
+    if any(within_policies(results, start) is not None for start in ("free", "fixed")):
+        yield Paragraph(
+            "Of the final policy of each seed, not the best, with sampled actions as in training; "
+            "the same start states for all arms. *Std*: standard deviation over the episodes of "
+            "one policy, mean over seeds. Brackets: 95 %, episodes resampled within resampled "
+            "seeds. *Falls*: share of episodes that terminated."
+        )
+    if (table := calibrations(results)) is not None:
+        yield Heading("Calibration of σ")
+        yield table
+
+
+def _how_to_read(results: Results) -> str:
+    last = " and ".join(str(count) for count in LAST)
+    tests = (
+        ""
+        if results["intervals"]["tests"]
+        else " SciPy is not installed, so Welch's and the Brown-Forsythe test are missing."
+    )
+    return (
+        f"Mean return of the last {last} training episodes of each seed; ± is the standard "
+        "deviation across seeds (n - 1). *IQM*: interquartile mean over seeds. Brackets: 95 % "
+        "intervals; of the IQM and of the probability of improvement by resampling seeds within "
+        "each arm, too narrow with few seeds; of the difference by Welch. *P(better)*: that a "
+        "seed of this arm beats one of the baseline. *p, spread*: Brown-Forsythe, of equal "
+        "spreads across seeds. Judged at 5 %, each on its own: among twenty comparisons of equal "
+        f"arms one is expected to look different.{tests}"
+    )
+
+
+def _settings(results: Results) -> Iterator[Block]:
+    yield Heading("What was run")
+    lines = []
+    for env, one in results["environments"].items():
+        for key, arm in one["arms"].items():
+            seed = arm["seeds_planned"][0]
+            run = next(
+                words
+                for name, words in results["commands"].items()
+                if _is_of(words, env, seed) and f"__{key}__" in name
+            )
+            lines.append(shlex.join(run))
+    yield Paragraph("The first seed of each arm; the others differ in `--seed` only.")
+    yield Code(lines)
+    yield Paragraph("The experiment was started as:")
+    sessions = results["sessions"]
+    yield Code([f"{one['command']}  # {one['time']}, {one['jobs']} jobs" for one in sessions])
+    machines = dict.fromkeys(
+        f"{one['processor']}, {one['cores']} cores, {one['system']}" for one in sessions
+    )
+    versions = results["versions"]
+    of_runs = ", ".join(
+        f"{name} {' and '.join(numbers)}" for name, numbers in versions["runs"].items()
+    )
+    of_report = ", ".join(
+        f"{name} {number or 'missing'}" for name, number in versions["report"].items()
+    )
+    yield Paragraph(f"Machine: {'; '.join(machines)}.")
+    yield Paragraph(f"Versions of the runs: {of_runs or 'none'}. Of this report: {of_report}.")
+
+
+def _is_of(words: Sequence[str], env: str, seed: int) -> bool:
+    pairs = list(itertools.pairwise(words))
+    return ("--env", env) in pairs and ("--seed", str(seed)) in pairs
+
+
+def _arms(results: Results) -> list[Results]:
+    return [arm for one in results["environments"].values() for arm in one["arms"].values()]
+
+
+def _count(things: Collection[object], name: str) -> str:
+    return f"{len(things)} {name}{'' if len(things) == 1 else 's'}"
+
+
+def _numbers(values: Sequence[int]) -> str:
+    return " or ".join(f"{value:,}" for value in values)

@@ -1,0 +1,125 @@
+"""Intervals and tests of experiments, with numbers worked out by hand or by SciPy."""
+
+import sys
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from dppo.experiment.statistics import (
+    brown_forsythe,
+    cvar10,
+    has_tests,
+    improvement,
+    improvement_interval,
+    interquartile_mean,
+    interval,
+    mean,
+    resampled,
+    resampled_nested,
+    spread,
+    welch,
+)
+
+FIVE = np.array([3.0, 1.0, 100.0, 2.0, -50.0])
+OTHERS = np.array([10.0, 12.0, 17.0, 9.0, 30.0])
+
+
+def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end():
+    assert interquartile_mean(FIVE) == 2.0  # ⌊5/4⌋ = 1: without -50 and 100
+    assert interquartile_mean(np.arange(8.0)) == 3.5  # 2, 3, 4, 5
+    assert interquartile_mean(np.array([1.0, 2.0, 6.0])) == 3.0  # ⌊3/4⌋ = 0: the mean
+    sample = np.random.default_rng(1).normal(size=41)
+    assert interquartile_mean(sample) == pytest.approx(stats.trim_mean(sample, 0.25), rel=1e-12)
+
+
+def test_the_worst_tenth_is_of_at_least_one_and_rounded_up():
+    assert cvar10(np.array([4.0, 1.0, 7.0])) == 1.0
+    assert cvar10(np.arange(20.0)) == 0.5  # of 0 and 1
+    assert cvar10(np.arange(21.0)) == 1.0  # ⌈2.1⌉ = 3: of 0, 1 and 2
+
+
+def test_the_spread_is_that_of_a_sample_and_none_of_one():
+    assert spread(np.array([1.0, 3.0])) == pytest.approx(np.sqrt(2))
+    assert spread(np.array([[5.0]])) == [0.0]
+
+
+def test_statistics_go_along_the_last_axis():
+    rows = np.array([FIVE, OTHERS])
+    for statistic in (mean, spread, interquartile_mean, cvar10):
+        assert statistic(rows).tolist() == [statistic(FIVE), statistic(OTHERS)]
+
+
+def test_the_probability_of_improvement_counts_pairs_and_half_of_the_ties():
+    assert improvement(np.array([1.0, 2.0]), np.array([0.0, 2.0])) == 0.625  # (1 + 0 + 1 + .5) / 4
+    u = stats.mannwhitneyu(FIVE, OTHERS).statistic
+    assert improvement(FIVE, OTHERS) == pytest.approx(u / 25)
+    bounds = improvement_interval(FIVE, OTHERS, "x")
+    assert bounds is not None
+    low, high = bounds
+    assert 0 <= low <= improvement(FIVE, OTHERS) <= high <= 1
+
+
+def test_welch_is_scipys_and_its_interval_is_worked_out_from_the_t_distribution():
+    found = welch(OTHERS, FIVE)
+    assert found is not None
+    assert found.p == pytest.approx(stats.ttest_ind(OTHERS, FIVE, equal_var=False).pvalue)
+    a, b = OTHERS.var(ddof=1) / 5, FIVE.var(ddof=1) / 5
+    freedom = (a + b) ** 2 / (a**2 / 4 + b**2 / 4)
+    half = stats.t.ppf(0.975, freedom) * np.sqrt(a + b)
+    assert found.difference == pytest.approx(15.6 - 11.2)
+    assert found.interval == pytest.approx((4.4 - half, 4.4 + half))
+
+
+def test_brown_forsythe_is_an_analysis_of_variance_of_distances_to_the_medians():
+    distances = [np.abs(one - np.median(one)) for one in (FIVE, OTHERS)]
+    assert brown_forsythe(FIVE, OTHERS) == pytest.approx(stats.f_oneway(*distances).pvalue)
+
+
+@pytest.mark.parametrize("scores", [np.array([1.0]), np.array([2.0, 2.0])])
+def test_what_cannot_be_tested_is_none(scores):
+    assert welch(scores, scores) is None
+    assert brown_forsythe(scores, scores) is None
+
+
+def test_without_scipy_there_are_intervals_but_no_tests(monkeypatch):
+    monkeypatch.setitem(sys.modules, "scipy", None)
+    assert not has_tests()
+    assert welch(FIVE, OTHERS) is None
+    assert brown_forsythe(FIVE, OTHERS) is None
+    assert interval(resampled(FIVE, mean, "x")) is not None
+
+
+def test_resampling_depends_on_its_label_and_on_nothing_else():
+    first = resampled(FIVE, mean, "a")
+    resampled(OTHERS, mean, "b")
+    assert (resampled(FIVE, mean, "a") == first).all()
+    assert (resampled(FIVE, mean, "b") != first).any()
+
+
+def test_the_interval_of_a_mean_is_close_to_scipys_bootstrap():
+    scores = np.random.default_rng(2).normal(5, 2, size=30)
+    ours = interval(resampled(scores, mean, "a"))
+    theirs = stats.bootstrap(
+        (scores,), np.mean, method="percentile", n_resamples=10_000, rng=np.random.default_rng(3)
+    ).confidence_interval
+    error = 2 / np.sqrt(30) / 10  # a tenth of the standard error
+    assert ours == pytest.approx((theirs.low, theirs.high), abs=error)
+
+
+def test_nested_resampling_shows_the_spread_between_seeds_as_well_as_within():
+    generator = np.random.default_rng(4)
+    within = generator.normal(size=(5, 100))
+    apart = within + 10 * np.arange(5.0)[:, None]  # seeds that differ
+    widths = [
+        float(np.ptp(np.array(interval(resampled_nested(one, mean, "a")))))
+        for one in (within, apart)
+    ]
+    assert widths[0] < 0.4  # about 4 x 1 / √500 = 0.18
+    # the seeds' means 0, 10 .. 40 have a standard deviation of √200: ± 2 x √200 / √5 = ± 12.6
+    assert widths[1] == pytest.approx(2 * 1.96 * np.sqrt(200 / 5), rel=0.15)
+
+
+def test_an_interval_of_what_is_no_number_is_none():
+    assert interval(np.array([1.0, np.nan])) is None
+    assert interval(np.arange(101.0)) == pytest.approx((2.5, 97.5))
