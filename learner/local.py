@@ -91,7 +91,7 @@ class LocalWorkers:
         if self._young_deaths > (_MOST_YOUNG_DEATHS if code < 0 else _MOST_FAILED_STARTS):
             raise RunFailedError(
                 f"local workers died {self._young_deaths} times within {_TROUBLE_SECONDS:g} s of "
-                f"their start, and none lived longer; the last had exit code {code}; see what "
+                f"their start and none lived longer, the last with exit code {code}; see what "
                 "they printed above"
             )
 
