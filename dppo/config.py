@@ -95,6 +95,16 @@ class Config:
             for group, fields in dataclasses.asdict(self).items()
         }
 
+    def differences(self, before: "Config") -> list[str]:
+        """What is set otherwise than before, each as `--flag was 1, is 2`."""
+        then = before.to_dict()
+        return [
+            f"--{name.replace('_', '-')} was {then[group][name]}, is {value}"
+            for group, fields in self.to_dict().items()
+            for name, value in fields.items()
+            if then[group][name] != value
+        ]
+
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Self:
         """The inverse of `to_dict`; missing fields take their defaults.

@@ -42,7 +42,7 @@ class Watch:
 
     def hear(self, worker: str, now: float, done: int | None = None) -> None:
         """Something came from a worker: an answer, or the count of what it has done."""
-        signs = self._signs.setdefault(worker, _Signs(-1, now, now))
+        signs = self._of(worker, now)
         self._longest_silent = max(_FORGOTTEN * self._longest_silent, now - signs.heard)
         if done is not None:
             self.pulse.note(now - signs.heard)
@@ -54,6 +54,10 @@ class Watch:
             self.patience.note(now - signs.moved)
             signs.done = done
         signs.moved = now
+
+    def _of(self, worker: str, now: float) -> _Signs:
+        """A worker's signs; of one that is new, as if it had just been heard."""
+        return self._signs.setdefault(worker, _Signs(-1, now, now))
 
     def forget(self, worker: str) -> None:
         """A worker is gone."""
@@ -77,7 +81,7 @@ class Watch:
         self.pulse.calm()
 
     def _stalls(self, worker: str, now: float) -> bool:
-        signs = self._signs.setdefault(worker, _Signs(-1, now, now))
+        signs = self._of(worker, now)
         still = max(self.patience.limit, _AGAIN * self._longest_still)
         if self.is_new:
             still = max(still, self.patience.first)
@@ -86,7 +90,7 @@ class Watch:
 
     def describe(self, worker: str, now: float) -> str:
         """A silence in words: is the process quiet, or does it live and hang?"""
-        signs = self._signs.setdefault(worker, _Signs(-1, now, now))
+        signs = self._of(worker, now)
         if now - signs.heard > _MOSTLY * (now - signs.moved):
             return f"silent for {now - signs.heard:.1f} s"
         return f"alive but without progress for {now - signs.moved:.1f} s"

@@ -15,9 +15,9 @@ log = logging.getLogger("learner")
 _TROUBLE_SECONDS = 5.0
 """A worker that dies younger than this counts as one that cannot start."""
 _MOST_FAILED_STARTS = 2
-"""In a row, by exit codes."""
+"""With none that lived longer between them, the last by an exit code."""
 _MOST_YOUNG_DEATHS = 20
-"""In a row, by signals: somebody may be killing them on purpose."""
+"""The same, by a signal: somebody may be killing them on purpose."""
 _END_SECONDS = 3.0
 _END_LOOK_SECONDS = 0.02
 _LOOK_SECONDS = 0.2
@@ -72,7 +72,7 @@ class LocalWorkers:
             died = child.process.poll()
             if self.link.was_cut(child.name):  # it may be unable to end by itself
                 log.warning("local worker %d was given up; starting another in its place", index)
-                child.process.kill()
+                _kill(child.process)
             elif died is not None:
                 self._count_death(index, child, died)
             else:
@@ -103,10 +103,7 @@ class LocalWorkers:
         while time.monotonic() < until and any(process.poll() is None for process in processes):
             time.sleep(_END_LOOK_SECONDS)
         for process in processes:
-            process.kill()  # those that have ended are left alone
-        for process in processes:
-            with contextlib.suppress(subprocess.TimeoutExpired):  # stuck in the kernel
-                process.wait(_END_LOOK_SECONDS)
+            _kill(process)  # those that have ended are left alone
         self._children.clear()
 
     def _spawn(self, index: int, restart: int) -> _Child:
@@ -130,3 +127,10 @@ class LocalWorkers:
         )
         inherited.close()
         return _Child(name, process, time.monotonic())
+
+
+def _kill(process: subprocess.Popen[bytes]) -> None:
+    """End a process that may be unable to, and take note of its end unless the kernel holds it."""
+    process.kill()
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(_END_LOOK_SECONDS)

@@ -41,17 +41,13 @@ class Members:
         self._questions, self._watch, self._clock = questions, watch, clock
         self.roster, self.pace = Roster(), Pace()
         self._listened, self._listened_until = 0.0, clock()
+        """Seconds that this learner has listened: while it was stopped, nobody was silent."""
         self._look_again = 0.0
         self._losses: dict[int, set[str]] = {}
         self._stalls: Counter[int] = Counter()
         self._known: set[type[Task]] = set()
         self._told: dict[str, float] = {}
         self._benched: set[str] = set()
-
-    @property
-    def now(self) -> float:
-        """Seconds that this learner has listened: while it was stopped, nobody was silent."""
-        return self._listened
 
     def look(self) -> None:
         """Give up who stalls; to be called at least as often as anything is received.

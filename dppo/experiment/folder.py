@@ -118,17 +118,10 @@ class Folder:
     def _check(self, run: Run, planned: Run | None) -> None:
         """The run is the one that was planned, and the one that was begun."""
         file = self.run(run) / "config.json"
-        now = run.config.to_dict()
-        befores = [planned.config.to_dict()] if planned else []
-        befores += [read_config(file).to_dict()] if file.exists() else []
+        befores = [planned.config] if planned else []
+        befores += [read_config(file)] if file.exists() else []
         for before in befores:
-            differences = [
-                f"--{name.replace('_', '-')} was {before[group][name]}, is {value}"
-                for group, fields in now.items()
-                for name, value in fields.items()
-                if before[group][name] != value
-            ]
-            if differences:
+            if differences := run.config.differences(before):
                 raise UsageError(
                     f"--out {self.path} holds the run {run.name} with other settings: "
                     f"{'; '.join(differences)}; use the same to continue it, or another --out"

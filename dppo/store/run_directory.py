@@ -182,15 +182,7 @@ class RunDirectory:
         file = self.path / "config.json"
         if not file.exists():
             return
-        before = read_config(file).to_dict()
-        now = config.to_dict()
-        differences = [
-            f"--{name.replace('_', '-')} was {before[group][name]}, is {value}"
-            for group, fields in now.items()
-            for name, value in fields.items()
-            if before[group][name] != value
-        ]
-        if differences:
+        if differences := config.differences(read_config(file)):
             raise UsageError(
                 f"{self.path} holds a run with other settings: {'; '.join(differences)}; use the "
                 "same settings to continue it, or another --run-dir"
