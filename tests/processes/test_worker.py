@@ -1,6 +1,9 @@
 """A worker's slots give the same answers however they come and go."""
 
 import json
+import subprocess
+import sys
+import textwrap
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from dppo.networks import Networks
 from dppo.normalizer import Statistics
 from dppo.wire.codec import encode
 from dppo.wire.messages import Collect, Collected, Restore, Update
+from tests.support import ROOT
 from workers.envs import make_env, quiet, spaces_of
 from workers.worker import OutOfStepError, Worker
 
@@ -129,3 +133,32 @@ def test_without_exact_environments_every_move_is_told():
     story.restore(2, 2, story.snapshots[1])
     story.collect(2, (0, 2))
     assert not any(m.exact for m in story.link.sent)
+
+
+QUICK_STEPS = """
+    import itertools, threading
+    from dppo.process import leave
+
+    def work():
+        from workers.envs import make_vec, quiet
+        from workers.heart import Heart
+
+        quiet()
+        envs, signs = make_vec("CartPole-v1", 1), []
+        envs.reset(seed=[0])
+        actions = itertools.cycle(envs.action_space.sample() for _ in range(64))
+        Heart("worker", 1, signs.append).begin()
+        while len(signs) < 4:
+            envs.step(next(actions))
+        print("alive")
+        return 0
+
+    leave(work)
+"""
+
+
+def test_signs_of_life_are_sent_beside_steps_that_take_microseconds():
+    words = [sys.executable, "-c", textwrap.dedent(QUICK_STEPS)]
+    # 2 s; with Python's own switch interval: after minutes, or never.
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=20, check=False)
+    assert done.stdout == "alive\n", done.stderr
