@@ -1,11 +1,12 @@
 """A trained policy as a torch module, for other people's programs.
 
 The trainer itself computes in NumPy (docs/decisions/0002). This module takes a checkpoint's
-policy, normaliser and action bounds together, so that raw observations go in and actions that the
+policy, normaliser and action space together, so that raw observations go in and actions that the
 environment takes come out.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,9 +18,12 @@ from dppo.networks import Networks
 from dppo.store.checkpoint import Checkpoint
 from dppo.store.contents import spaces_in, statistics_in
 
+Layers = Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
+Normal = tuple[NDArray[np.float64], NDArray[np.float64], float]
+
 
 class PolicyModule(nn.Module):
-    """Normaliser, policy network and clipping as one module.
+    """Normaliser, policy network and what an environment takes, as one module.
 
     Example:
         policy = PolicyModule.load(load_checkpoint(Path("runs/x/checkpoints/iteration-00000245")))
@@ -28,18 +32,12 @@ class PolicyModule(nn.Module):
 
     mean: Tensor
     scale: Tensor
-    low: Tensor
-    high: Tensor
-    std: Tensor
 
-    def __init__(
-        self,
-        layers: Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]],
-        normalizer: tuple[NDArray[np.float64], NDArray[np.float64], float],
-        std: NDArray[np.float32],
-        bounds: tuple[NDArray[np.float32], NDArray[np.float32]],
-    ) -> None:
-        """Build from (W [I, O], b [O]) layers, (mean, scale, clip), std [A] and action bounds."""
+    def __init__(self, layers: Layers, normalizer: Normal, has_clock: bool) -> None:
+        """Build from (W [I, O], b [O]) layers and (mean, scale, clip) of observations.
+
+        With `has_clock` the network also sees how far the episode is.
+        """
         super().__init__()
         modules: list[nn.Module] = []
         for weight, bias in layers:
@@ -49,59 +47,127 @@ class PolicyModule(nn.Module):
             modules += [linear, nn.Tanh()]
         self.network = nn.Sequential(*modules[:-1])
         mean, scale, self.clip = normalizer
+        self.has_clock = has_clock
         self.register_buffer("mean", torch.from_numpy(mean.copy()))
         self.register_buffer("scale", torch.from_numpy(scale.copy()))
-        self.register_buffer("std", torch.from_numpy(std.copy()))
-        self.register_buffer("low", torch.from_numpy(bounds[0].copy()))
-        self.register_buffer("high", torch.from_numpy(bounds[1].copy()))
 
     @classmethod
     def load(
         cls,
         checkpoint: Checkpoint,
-        low: NDArray[np.float32] | float = -np.inf,
+        low: NDArray[Any] | float = -np.inf,
         high: NDArray[np.float32] | float = np.inf,
     ) -> "PolicyModule":
         """The policy of a checkpoint.
 
         Args:
             checkpoint: from `dppo.store.checkpoint.load_checkpoint`.
-            low, high: bounds of the environment's action space, [A] or one number.
-
-        Raises:
-            ValueError: the policy is not a Gaussian one, or needs a time feature.
+            low, high: bounds of a continuous action space, [A] or one number. Of a discrete one
+                only `low` counts, if it is finite: its first choices' numbers.
         """
         config = Config.from_dict(checkpoint.facts["config"])
         spaces = spaces_in(checkpoint)
-        if spaces.action_kind != "box" or config.rollout.time_limit != "bootstrap":
-            raise ValueError(
-                f"this policy has {spaces.action_kind} actions and time limit "
-                f"{config.rollout.time_limit}; PolicyModule takes box actions and bootstrap"
-            )
         networks = Networks.build(spaces, config)
         vector, log_std = networks.split_policy(checkpoint.arrays["parameters"])
         normalizer = statistics_in(checkpoint).obs_normalizer(config.rollout)
+        common = (
+            networks.policy.layers(vector),
+            (normalizer.mean, normalizer.scale, normalizer.clip),
+            config.rollout.time_limit == "time-feature",
+        )
         shape = (spaces.action_size,)
+        if spaces.action_kind == "discrete":
+            first = np.where(np.isfinite(low), low, 0).astype(np.int64)
+            return CategoricalPolicy(*common, spaces.action_sizes, np.broadcast_to(first, shape))
         bounds = (
             np.broadcast_to(np.float32(low), shape),
             np.broadcast_to(np.float32(high), shape),
         )
-        normal = (normalizer.mean, normalizer.scale, normalizer.clip)
-        return cls(networks.policy.layers(vector), normal, np.exp(log_std), bounds)
+        return GaussianPolicy(*common, np.exp(log_std), bounds)
 
-    def forward(self, obs: Tensor) -> Tensor:
+    def _output(self, obs: Tensor, steps: Tensor | None) -> Tensor:
+        """What the network makes of raw observations [N, O] after so many steps [N]."""
+        seen = ((obs.double() - self.mean) / self.scale).clamp(-self.clip, self.clip).float()
+        if self.has_clock:
+            assert steps is not None, "this policy also takes the steps since the reset, [N]"
+            seen = torch.cat([seen, (0.001 * steps.double()).float()[:, None]], dim=1)
+        output: Tensor = self.network(seen)
+        return output
+
+
+class GaussianPolicy(PolicyModule):
+    """Of a continuous action space."""
+
+    low: Tensor
+    high: Tensor
+    std: Tensor
+
+    def __init__(
+        self,
+        layers: Layers,
+        normalizer: Normal,
+        has_clock: bool,
+        std: NDArray[np.float32],
+        bounds: tuple[NDArray[np.float32], NDArray[np.float32]],
+    ) -> None:
+        """Also from std [A] and bounds of actions [A]."""
+        super().__init__(layers, normalizer, has_clock)
+        self.register_buffer("std", torch.from_numpy(std.copy()))
+        self.register_buffer("low", torch.from_numpy(bounds[0].copy()))
+        self.register_buffer("high", torch.from_numpy(bounds[1].copy()))
+
+    def forward(self, obs: Tensor, steps: Tensor | None = None) -> Tensor:
         """Most likely actions [N, A], within bounds, of raw observations [N, O]."""
-        return self._bounded(self._mean_action(obs))
+        return self._bounded(self._output(obs, steps))
 
-    def sample(self, obs: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    def sample(
+        self,
+        obs: Tensor,
+        generator: torch.Generator | None = None,
+        steps: Tensor | None = None,
+    ) -> Tensor:
         """Sampled actions [N, A], clipped after sampling as in training."""
-        mean = self._mean_action(obs)
+        mean = self._output(obs, steps)
         return self._bounded(mean + self.std * torch.randn(mean.shape, generator=generator))
-
-    def _mean_action(self, obs: Tensor) -> Tensor:
-        scaled = ((obs.double() - self.mean) / self.scale).clamp(-self.clip, self.clip)
-        action: Tensor = self.network(scaled.float())
-        return action
 
     def _bounded(self, action: Tensor) -> Tensor:
         return torch.minimum(torch.maximum(action, self.low), self.high)
+
+
+class CategoricalPolicy(PolicyModule):
+    """Of a discrete action space, with one choice or several."""
+
+    first: Tensor
+
+    def __init__(
+        self,
+        layers: Layers,
+        normalizer: Normal,
+        has_clock: bool,
+        sizes: Sequence[int],
+        first: NDArray[np.int64],
+    ) -> None:
+        """Also from the number of choices of each component, and their first numbers."""
+        super().__init__(layers, normalizer, has_clock)
+        self.sizes = list(sizes)
+        self.register_buffer("first", torch.from_numpy(first.copy()))
+
+    def forward(self, obs: Tensor, steps: Tensor | None = None) -> Tensor:
+        """Most likely actions [N, components], whole numbers, of raw observations [N, O]."""
+        return self._chosen(self._output(obs, steps))
+
+    def sample(
+        self,
+        obs: Tensor,
+        generator: torch.Generator | None = None,
+        steps: Tensor | None = None,
+    ) -> Tensor:
+        """Sampled actions [N, components], whole numbers."""
+        logits = self._output(obs, steps)
+        uniform = torch.rand(logits.shape, generator=generator, dtype=torch.float64)
+        gumbel = -torch.log(-torch.log(uniform.clamp_min(1e-300)))
+        return self._chosen(logits + gumbel.float())
+
+    def _chosen(self, logits: Tensor) -> Tensor:
+        parts = [part.argmax(dim=1) for part in torch.split(logits, self.sizes, dim=1)]
+        return torch.stack(parts, dim=1) + self.first

@@ -84,6 +84,7 @@ TROUBLES: dict[str, dict[str, Any]] = {
     "NotANumber-v0": {"trouble": "nan"},
     "Dice-v0": {"trouble": "dice"},
     "Walk-v0": {},
+    "Choices-v0": {"actions": spaces.MultiDiscrete([3, 2], start=[1, -1])},
     "OddActions-v0": {"actions": spaces.MultiBinary(3)},
     "OddObservations-v0": {"observations": spaces.Text(3)},
 }

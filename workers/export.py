@@ -1,6 +1,7 @@
 """A trained policy as a file for other programs: TorchScript or ONNX, with its normaliser inside.
 
-Raw observations [N, O] in, the most likely actions [N, A] out, within the environment's bounds.
+Raw observations [N, O] in, the most likely actions [N, A] out, as the environment takes them. A
+policy with a time feature also takes the steps since the reset, [N].
 Each file is loaded again and compared with the trainer's own policy, in NumPy, on observations of
 real episodes, before it gets its name.
 """
@@ -10,7 +11,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -24,11 +25,10 @@ from workers.evaluate import plans_of
 from workers.play import play
 from workers.policy import FrozenPolicy
 
-if TYPE_CHECKING:
-    pass
-
 Float64 = NDArray[np.float64]
-Actor = Callable[[Float64], NDArray[np.float32]]
+Inputs = dict[str, NDArray[Any]]
+"""By name: `obs` [N, O] of float64, and `steps` [N] of int64 with a time feature."""
+Actor = Callable[[Inputs], NDArray[Any]]
 TOLERANCE = 1e-4
 """Largest difference of an action; float32 in another order of sums stays far below."""
 _EPISODES = 2
@@ -48,28 +48,22 @@ class Exporter:
     """A checkpoint's policy, and observations to verify its files with."""
 
     def __init__(self, checkpoint: Checkpoint, seed: int = 0) -> None:
-        """Plays two episodes.
-
-        Raises:
-            UsageError: the policy cannot be put into one module; says why.
-        """
+        """Plays two episodes."""
         from dppo.torch_policy import PolicyModule
 
         env = make_env(Config.from_dict(checkpoint.facts["config"]).run)
-        policy, box = FrozenPolicy(checkpoint, spaces_of(env)), env.action_space
-        self._adapter = Adapter(env.observation_space, box)
+        policy, space = FrozenPolicy(checkpoint, spaces_of(env)), env.action_space
+        adapter = Adapter(env.observation_space, space)
         env.close()
-        low, high = (box.low, box.high) if isinstance(box, spaces.Box) else (-np.inf, np.inf)
-        try:
-            self._module: PolicyModule = PolicyModule.load(
-                checkpoint, np.ravel(low), np.ravel(high)
-            ).eval()
-        except ValueError as error:
-            raise UsageError(f"cannot export: {error}") from error
+        low, high = _bounds(space)
+        self._module = PolicyModule.load(checkpoint, low, high).eval()
         plans = plans_of(seed, _EPISODES, places=0)
-        self._obs = np.concatenate([kept.obs for _, kept in play(policy, plans, keep=True)])
-        modes = policy.actions(self._obs, np.zeros(len(self._obs), np.int64), None)
-        self._expected = self._adapter.to_envs(modes).reshape(len(modes), -1)
+        played = [kept.obs for _, kept in play(policy, plans, keep=True)]
+        obs = np.concatenate(played)
+        steps = np.concatenate([np.arange(len(one)) for one in played])
+        self._inputs: Inputs = {"obs": obs} | ({"steps": steps} if self._module.has_clock else {})
+        modes = policy.actions(obs, steps, None)
+        self._expected = adapter.to_envs(modes).reshape(len(modes), -1)
 
     def torchscript(self, path: Path) -> Verified:
         """Write a TorchScript file, for `torch.jit.load`, also from C++."""
@@ -77,7 +71,9 @@ class Exporter:
 
         def actor(file: Path) -> Actor:
             module: Any = torch.jit.load(str(file))
-            return lambda obs: np.asarray(module(torch.from_numpy(obs)).detach().numpy())
+            return lambda inputs: np.asarray(
+                module(*map(torch.from_numpy, inputs.values())).detach().numpy()
+            )
 
         def write(file: Path) -> None:
             torch.jit.script(self._module).save(str(file))
@@ -85,7 +81,7 @@ class Exporter:
         return self._verified(path, write, actor)
 
     def onnx(self, path: Path) -> Verified:
-        """Write an ONNX file: input `obs` [batch, O] of float64, output `action` [batch, A].
+        """Write an ONNX file: inputs as `Inputs`, output `action` [batch, A].
 
         Raises:
             UsageError: the packages for it are not installed.
@@ -103,17 +99,18 @@ class Exporter:
 
         def actor(file: Path) -> Actor:
             session = onnxruntime.InferenceSession(file.read_bytes())
-            return lambda obs: np.asarray(session.run(None, {"obs": obs})[0])
+            return lambda inputs: np.asarray(session.run(None, inputs)[0])
 
         def write(file: Path) -> None:
             logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # what it does without
+            batch = torch.export.Dim("batch")
             torch.onnx.export(
                 self._module,
-                (torch.from_numpy(self._obs[:2]),),
+                tuple(torch.from_numpy(values[:2]) for values in self._inputs.values()),
                 str(file),
-                input_names=["obs"],
+                input_names=list(self._inputs),
                 output_names=["action"],
-                dynamic_shapes={"obs": {0: torch.export.Dim("batch")}},
+                dynamic_shapes={name: {0: batch} for name in self._inputs},
                 external_data=False,
                 dynamo=True,
                 verbose=False,
@@ -135,10 +132,11 @@ class Exporter:
                 warnings.simplefilter("ignore")  # torch announces its future, users cannot help it
                 write(part)
                 act = actor(part)
-            found = [act(self._obs), *(act(row[None]) for row in self._obs[:3])]
-            expected = [self._expected, *(row[None] for row in self._expected[:3])]
+            cuts = [slice(None), *(slice(row, row + 1) for row in range(3))]
+            found = [act({name: all[cut] for name, all in self._inputs.items()}) for cut in cuts]
             difference = max(
-                float(np.abs(a - b).max()) for a, b in zip(found, expected, strict=True)
+                float(np.abs(actions - self._expected[cut]).max())
+                for actions, cut in zip(found, cuts, strict=True)
             )
             if not difference <= TOLERANCE:
                 raise RunFailedError(
@@ -148,4 +146,14 @@ class Exporter:
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)
-        return Verified(path, len(self._obs), difference)
+        return Verified(path, len(self._expected), difference)
+
+
+def _bounds(space: spaces.Space[Any]) -> tuple[NDArray[Any] | float, NDArray[Any] | float]:
+    """Of continuous actions; of discrete ones the lowest, and none."""
+    match space:
+        case spaces.Box():
+            return np.ravel(space.low), np.ravel(space.high)
+        case spaces.Discrete() | spaces.MultiDiscrete():
+            return np.ravel(space.start), np.inf
+    raise AssertionError(f"spaces_of lets no {space} through")

@@ -8,7 +8,7 @@ import torch
 
 from dppo.store.contents import chosen
 from tests.support import SMALL, Harness, printed
-from workers.envs import Adapter, make_env
+from workers.envs import Adapter, make_env, spaces_of
 from workers.evaluate import policy_of
 from workers.export import Exporter
 
@@ -22,7 +22,7 @@ def runs(tmp_path_factory):
     harness = Harness(tmp_path_factory.mktemp("train"))
 
     def run(env_id, *args):
-        run_dir = harness.folder / f"{env_id}{len(args)}"
+        run_dir = harness.folder / f"{env_id.partition(':')[2] or env_id}{len(args)}"
         if not run_dir.exists():
             steps = ("--total-timesteps", "1536", "--local-workers", "1")
             harness.train("--env", env_id, *SMALL, *steps, *args, run_dir=run_dir)
@@ -32,30 +32,47 @@ def runs(tmp_path_factory):
 
 
 def expected(run_dir, count=50):
-    """Observations far apart, and what the trainer's policy does, within the bounds."""
+    """Observations far apart, steps, and what the trainer's policy does, as the env takes it."""
     _, checkpoint = chosen(str(run_dir), "newest")
     policy = policy_of(checkpoint)
-    env = make_env(policy.config.run)
-    obs = 3 * np.random.default_rng(0).standard_normal((count, 11))
-    modes = policy.actions(obs, np.zeros(count, np.int64), None)
-    return obs, Adapter(env.observation_space, env.action_space).to_envs(modes)
+    env, rng = make_env(policy.config.run), np.random.default_rng(0)
+    adapter = Adapter(env.observation_space, env.action_space)
+    obs = 3 * rng.standard_normal((count, spaces_of(env).obs_size))
+    steps = rng.integers(0, 1000, count)
+    actions = adapter.to_envs(policy.actions(obs, steps, None)).reshape(count, -1)
+    inputs = {"obs": obs}
+    if policy.config.rollout.time_limit == "time-feature":
+        inputs["steps"] = steps
+    return inputs, actions
+
+
+KINDS = [
+    ("Hopper-v5",),
+    ("Hopper-v5", "--time-limit", "time-feature"),
+    ("FourRooms-v0",),
+    ("tests.odd_envs:Choices-v0",),
+]
+"""Gaussian, with a time feature, one choice, and several that do not begin at 0."""
 
 
 @pytest.mark.slow
-def test_torchscript_acts_like_the_trainer_and_needs_nothing_of_ours(harness, runs):
-    run_dir, file = runs("Hopper-v5"), harness.folder / "policy.pt"
+@pytest.mark.parametrize("kind", KINDS, ids=" ".join)
+def test_torchscript_acts_like_the_trainer_and_needs_nothing_of_ours(harness, runs, kind):
+    run_dir, file = runs(*kind), harness.folder / "policy.pt"
     process = harness.start("dppo", "export", str(run_dir), "--torchscript", str(file))
     assert process.wait() == 0, process.text
     assert "largest difference from the trainer's own actions on" in process.text
-    obs, actions = expected(run_dir)
+    inputs, actions = expected(run_dir)
+    assert len(np.unique(actions)) > 1
     code = (
         "import sys, warnings; warnings.simplefilter('ignore'); import numpy as np, torch\n"
         f"module = torch.jit.load({str(file)!r})\n"
-        f"obs = torch.from_numpy(np.load({str(harness.folder / 'obs.npy')!r}))\n"
-        f"np.save({str(harness.folder / 'actions.npy')!r}, module(obs).detach().numpy())\n"
+        f"inputs = np.load({str(harness.folder / 'inputs.npz')!r})\n"
+        "tensors = [torch.from_numpy(inputs[name]) for name in inputs]\n"
+        f"np.save({str(harness.folder / 'actions.npy')!r}, module(*tensors).detach().numpy())\n"
         "assert not {'dppo', 'workers', 'learner'} & set(sys.modules)\n"
     )
-    np.save(harness.folder / "obs.npy", obs)
+    np.savez(harness.folder / "inputs.npz", **inputs)
     script = harness.folder / "other.py"
     script.write_text(code)
     printed(script)
@@ -65,17 +82,18 @@ def test_torchscript_acts_like_the_trainer_and_needs_nothing_of_ours(harness, ru
 
 @pytest.mark.slow
 @needs_onnx
-def test_onnx_acts_like_the_trainer_for_any_number_of_observations(harness, runs):
+@pytest.mark.parametrize("kind", KINDS, ids=" ".join)
+def test_onnx_acts_like_the_trainer_for_any_number_of_observations(harness, runs, kind):
     import onnxruntime
 
-    run_dir, file = runs("Hopper-v5"), harness.folder / "policy.onnx"
+    run_dir, file = runs(*kind), harness.folder / "policy.onnx"
     process = harness.start("dppo", "export", str(run_dir), "--onnx", str(file))
     assert process.wait() == 0, process.text
     assert len(process.text.splitlines()) == 1, "the packages' own remarks are kept out"
     session = onnxruntime.InferenceSession(str(file))
-    obs, actions = expected(run_dir)
+    inputs, actions = expected(run_dir)
     for count in (1, 7, 50):
-        (found,) = session.run(["action"], {"obs": obs[:count]})
+        (found,) = session.run(["action"], {name: all[:count] for name, all in inputs.items()})
         np.testing.assert_allclose(found, actions[:count], atol=1e-6)
 
 
@@ -93,11 +111,8 @@ def test_a_file_that_acts_otherwise_is_not_written(runs, tmp_path):
 
 @pytest.mark.slow
 def test_what_cannot_be_exported_is_one_sentence_and_code_2(harness, runs):
-    hopper, rooms = runs("Hopper-v5"), runs("FourRooms-v0")
-    timed = runs("Hopper-v5", "--time-limit", "time-feature")
+    hopper = runs("Hopper-v5")
     for words, sentence in (
-        ((rooms, "--torchscript", harness.folder / "a.pt"), "this policy has discrete actions"),
-        ((timed, "--torchscript", harness.folder / "a.pt"), "time limit time-feature"),
         (
             (hopper, "--torchscript", "/nowhere/a.pt"),
             "/nowhere/a.pt lies in no folder that exists",
