@@ -20,7 +20,7 @@ _PAPER_RATES = {
 
 
 def default(env: str) -> Config:
-    """Minibatched, tanh 64x64, γ .99, λ .95, KL target .01, linear decay of the step sizes."""
+    """Minibatched, tanh 64x64, γ .99, λ .95, KL target .02, linear decay of the step sizes."""
     config = Config()
     return replace(config, run=replace(config.run, env=env))
 
@@ -54,7 +54,8 @@ def paper(env: str) -> Config:
         ),
         kl=replace(base.kl, kl_target=0.003),
         network=replace(
-            base.network, architecture="paper", init="fan-in", log_std_rate=-1.0,
+            base.network, architecture="paper", init="fan-in", log_std_init=-0.5,
+            log_std_rate=-1.0,
         ),
     )  # fmt: skip
 

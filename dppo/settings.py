@@ -31,7 +31,7 @@ class RolloutConfig:
     """W: logical workers; they fix data and batch, processes only the speed [count]."""
     num_envs: int = 2
     """E: environments per slot [count]."""
-    num_steps: int = 256
+    num_steps: int = 128
     """Steps per environment and iteration; T = E x num_steps per slot [env steps]."""
     window: int = 0
     """K: advantages are cut and bootstrapped every K steps; 0: only at num_steps [env steps]."""
@@ -176,15 +176,15 @@ class SafetyConfig:
 class UpdateConfig:
     """The updates of one iteration: M of the policy, B of the critics."""
 
-    learning_rate: float = 5e-4
+    learning_rate: float = 1e-3
     """α_θ: Adam learning rate of the policy [1 per update]."""
-    critic_learning_rate: float = 1.5e-3
+    critic_learning_rate: float = 2e-3
     """α_c: Adam learning rate of V and σ [1 per update]."""
     lr_schedule: Literal["linear", "constant", "servo"] = "linear"
     """Both learning rates: linear to 0, constant, or (paper) the policy's follows β."""
-    update_epochs: int = 10
+    update_epochs: int = 5
     """Passes over the iteration's data; M = update_epochs x num_minibatches [count]."""
-    num_minibatches: int = 4
+    num_minibatches: int = 2
     """Slices of every slot's samples, one per update; 1: full batch [count]."""
     critic_epochs: int = 0
     """Passes for V and σ; 0: as update_epochs [count]."""
@@ -232,7 +232,7 @@ class UpdateConfig:
 class KlConfig:
     """The trust region: adaptive penalty, hinge, early stop."""
 
-    kl_target: float = 0.01
+    kl_target: float = 0.02
     """KL_target: wanted KL[π_old‖π] per iteration [nats per state]."""
     kl_coef: float = 1.0
     """β at the start: weight of the KL penalty."""
@@ -279,7 +279,7 @@ class NetworkConfig:
     """Sizes: hidden_sizes, or (paper) 10 O, geometric mean, 10 A (5 for the critics)."""
     init: Literal["orthogonal", "fan-in"] = "orthogonal"
     """Weights: orthogonal with a small last policy layer, or (paper) N(0, 1/fan_in)."""
-    log_std_init: float = -0.5
+    log_std_init: float = -1.0
     """Initial log of the Gaussian policy's std, per action dimension [nats]."""
     log_std_rate: float = 1.0
     """Learning-rate factor of log std [1]; -1: (paper) half of (10 h3) // 48."""

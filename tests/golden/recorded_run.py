@@ -74,7 +74,7 @@ def config_of(env):
             num_minibatches=2,
         ),
         kl=KlConfig(kl_target=kl_target, kl_stop=1e6),
-        network=NetworkConfig(hidden_sizes=HIDDEN),
+        network=NetworkConfig(hidden_sizes=HIDDEN, log_std_init=-0.5),
     )
 
 

@@ -33,7 +33,7 @@ def test_a_quiet_machine_needs_no_advice_but_the_default():
         (
             {"one_process": {2: 80.0, 8: 100.0, 16: 125.0}},
             "2 workers step 8 environments each, 16 would step 1.25 times as fast: "
-            "--num-envs 4 --num-steps 128",
+            "--num-envs 4 --num-steps 64",
         ),
         ({"threads": {"OMP_NUM_THREADS": "8"}}, "OMP_NUM_THREADS=8 does not matter"),
     ],

@@ -41,7 +41,7 @@ REFUSED = [
     (
         RolloutConfig,
         {"window": 100},
-        "--window is 100, expected 0 or a divisor of num_steps = 256",
+        "--window is 100, expected 0 or a divisor of num_steps = 128",
     ),
     (RolloutConfig, {"window": 512}, "--window is 512, expected 0 or a divisor of num_steps"),
     (RolloutConfig, {"clip_obs": 0.0}, "--clip-obs is 0.0, expected > 0"),
@@ -135,7 +135,7 @@ def test_the_edge_of_what_can_be_run_is_accepted(group, values):
 @pytest.mark.parametrize("name", ["num_minibatches", "critic_minibatches"])
 def test_minibatches_must_divide_the_samples_of_a_slot(name):
     flag = name.replace("_", "-")
-    sentence = f"--{flag} is 7, expected a divisor of the 512 samples of a slot"
+    sentence = f"--{flag} is 7, expected a divisor of the 256 samples of a slot"
     with pytest.raises(ValueError, match=re.escape(sentence)):
         Config.from_dict({"update": {name: 7}})
 
@@ -148,10 +148,10 @@ def test_settings_are_frozen():
 def test_counts_of_the_default():
     config = Config(rollout=RolloutConfig(drop=3))
     assert config.rollout.quorum == 5
-    assert config.rollout.samples_per_slot == 2 * 256
-    assert config.rollout.samples == 8 * 2 * 256
-    assert config.update.policy_updates == 10 * 4
-    assert config.update.critic_updates == config.update.updates == 40
+    assert config.rollout.samples_per_slot == 2 * 128
+    assert config.rollout.samples == 8 * 2 * 128
+    assert config.update.policy_updates == 5 * 2
+    assert config.update.critic_updates == config.update.updates == 10
 
 
 def test_critics_may_have_their_own_counts():
@@ -161,7 +161,7 @@ def test_critics_may_have_their_own_counts():
     assert (update.critic_slices, update.critic_updates, update.updates) == (4, 40, 40)
 
 
-@pytest.mark.parametrize(("steps", "iterations"), [(1, 1), (4096, 1), (4097, 2), (1_000_000, 245)])
+@pytest.mark.parametrize(("steps", "iterations"), [(1, 1), (2048, 1), (2049, 2), (1_000_000, 489)])
 def test_steps_are_rounded_up_to_whole_iterations(steps, iterations):
     assert Config(run=RunConfig(total_timesteps=steps)).iterations == iterations
 

@@ -29,10 +29,10 @@ def test_default():
     config = default("Ant-v4")
     assert config.network.hidden_sizes == (64, 64)
     assert (config.returns.gamma, config.returns.gae_lambda) == (0.99, 0.95)
-    assert config.kl.kl_target == 0.01
+    assert config.kl.kl_target == 0.02
     assert config.update.lr_schedule == "linear"
     assert config.update.num_minibatches > 1
-    assert (config.update.learning_rate, config.update.critic_learning_rate) == (5e-4, 1.5e-3)
+    assert (config.update.learning_rate, config.update.critic_learning_rate) == (1e-3, 2e-3)
     assert config.safety.psi == 0
     assert config.safety.adv_norm == "separate"
     assert config.safety.sigma_head == "softplus"
@@ -58,6 +58,7 @@ def test_paper(env):
     assert config.kl.kl_target == 0.003
     assert config.kl.hinge_coef == 50
     assert config.network.architecture == "paper"
+    assert config.network.log_std_init == -0.5  # log variance -1
     assert config.update.update_epochs == 20
     assert config.update.num_minibatches == 1
     assert config.update.critic_replay
