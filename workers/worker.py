@@ -24,6 +24,7 @@ from dppo.losses import AdvantageStatistics, combine
 from dppo.moments import Moments
 from dppo.networks import Networks
 from dppo.normalizer import Statistics
+from dppo.process import give_back_memory
 from dppo.rollout import prepare
 from dppo.spaces import Spaces
 from dppo.sums import aligned_blocks, members, sum_rows
@@ -207,7 +208,8 @@ class Worker:
             if slots.indices == task.slots and slots.iteration == task.iteration:
                 return slots
             slots.close()
-            self._slots = None
+            self._slots = slots = None
+            give_back_memory()
         if task.iteration == 0:
             self._slots = Slots.fresh(task.slots, self._config)
             return self._slots

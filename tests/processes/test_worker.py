@@ -162,3 +162,37 @@ def test_signs_of_life_are_sent_beside_steps_that_take_microseconds():
     # 2 s; with Python's own switch interval: after minutes, or never.
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=20, check=False)
     assert done.stdout == "alive\n", done.stderr
+
+
+MOVES = """
+    from dppo.process import one_thread
+
+    one_thread()
+    import resource
+    from pathlib import Path
+    from tests.processes.test_worker import Story
+
+    def resident():
+        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
+
+    story = Story("Hopper-v5")
+    sizes = []
+    for iteration in range(0, 160, 2):  # slots 4 and 5 go to another worker and come back
+        story.collect(iteration, (0, 1, 2, 3, 4, 5))
+        lent = {slot: story.snapshots[slot] for slot in (4, 5)}
+        story.collect(iteration + 1, (0, 1, 2, 3))
+        for slot, snapshot in lent.items():
+            story.restore(iteration + 2, slot, snapshot)
+        sizes.append(resident())
+    print((sizes[-1] - sizes[0]) / 1e6)
+"""
+
+
+@pytest.mark.slow
+def test_slots_that_come_and_go_leave_no_memory_behind():
+    words = [sys.executable, "-c", textwrap.dedent(MOVES)]
+    done = subprocess.run(
+        words, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert float(done.stdout) < 4, "[MB]; 8 to 16 when freed memory is not returned"
