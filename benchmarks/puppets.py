@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import save
 
-from dppo.config import Config, RolloutConfig, SafetyConfig
+from dppo.config import Config, RolloutConfig, SafetyConfig, UpdateConfig
 from dppo.gradients import Sums
 from dppo.moments import Moments
 from dppo.networks import Networks
@@ -37,7 +37,11 @@ _SNAPSHOT = save({"state": np.zeros(50_000, np.uint8)})
 
 def config_of(slots: int) -> Config:
     """The default settings with ψ = 0.1 and so many slots."""
-    return Config(rollout=RolloutConfig(slots=slots), safety=SafetyConfig(psi=0.1))
+    return Config(
+        rollout=RolloutConfig(slots=slots, num_steps=256),
+        safety=SafetyConfig(psi=0.1),
+        update=UpdateConfig(update_epochs=10, num_minibatches=4),
+    )
 
 
 def networks_of(config: Config) -> Networks:
