@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from safetensors.numpy import save
 
-from dppo.config import Config, RolloutConfig, SafetyConfig, UpdateConfig
+from dppo.config import Config, RolloutConfig, SafetyConfig
 from dppo.gradients import Sums
 from dppo.moments import Moments
 from dppo.networks import Networks
@@ -31,17 +31,14 @@ from dppo.wire.messages import (
 )
 
 SPACES = Spaces(obs_size=27, action_kind="box", action_sizes=(8,))
+_SAMPLES = RolloutConfig().samples_per_slot
 _SNAPSHOT = save({"state": np.zeros(50_000, np.uint8)})
 """As long as the two environments of a slot."""
 
 
 def config_of(slots: int) -> Config:
     """The default settings with ψ = 0.1 and so many slots."""
-    return Config(
-        rollout=RolloutConfig(slots=slots, num_steps=256),
-        safety=SafetyConfig(psi=0.1),
-        update=UpdateConfig(update_epochs=10, num_minibatches=4),
-    )
+    return Config(rollout=RolloutConfig(slots=slots), safety=SafetyConfig(psi=0.1))
 
 
 def networks_of(config: Config) -> Networks:
@@ -50,7 +47,7 @@ def networks_of(config: Config) -> Networks:
 
 
 def _moments(size: int) -> NDArray[np.float64]:
-    rows = np.random.default_rng(size).standard_normal((512, size))
+    rows = np.random.default_rng(size).standard_normal((_SAMPLES, size))
     return Moments.of(rows).to_vector()
 
 
@@ -134,6 +131,6 @@ class Puppet:
             iteration=task.iteration,
             round=task.round,
             slot=slot,
-            kl=5.12,
-            weight=512.0,
+            kl=0.01 * _SAMPLES,
+            weight=float(_SAMPLES),
         )

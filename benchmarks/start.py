@@ -3,7 +3,7 @@
     python -m benchmarks.start --env Ant-v4
 
 The first environment step of any slot lies between `asked` (the learner has sent the first
-question) and `collected` (all slots have run their first steps, 4096 together). Nothing is
+question) and `collected` (all slots have run their first steps, 2048 together). Nothing is
 patched: both follow from the run's own metrics.jsonl.
 """
 

@@ -85,6 +85,31 @@ class PolicyModule(nn.Module):
         )
         return GaussianPolicy(*common, np.exp(log_std), bounds)
 
+    def forward(self, obs: Tensor, steps: Tensor | None = None) -> Tensor:
+        """Most likely actions [N, A], as the environment takes them, of raw observations [N, O].
+
+        A discrete action is a whole number per component. `steps` [N] since the reset are for
+        policies with a time feature.
+        """
+        return self._mode(self._output(obs, steps))
+
+    def sample(
+        self,
+        obs: Tensor,
+        generator: torch.Generator | None = None,
+        steps: Tensor | None = None,
+    ) -> Tensor:
+        """Sampled actions [N, A]; continuous ones are clipped after sampling as in training."""
+        return self._mode(self._noisy(self._output(obs, steps), generator))
+
+    def _mode(self, output: Tensor) -> Tensor:
+        """The most likely actions [N, A] of what the network puts out."""
+        raise NotImplementedError
+
+    def _noisy(self, output: Tensor, generator: torch.Generator | None) -> Tensor:
+        """What the network puts out with noise, so that its mode is a sample."""
+        raise NotImplementedError
+
     def _output(self, obs: Tensor, steps: Tensor | None) -> Tensor:
         """What the network makes of raw observations [N, O] after so many steps [N]."""
         seen = ((obs.double() - self.mean) / self.scale).clamp(-self.clip, self.clip).float()
@@ -116,22 +141,11 @@ class GaussianPolicy(PolicyModule):
         self.register_buffer("low", torch.from_numpy(bounds[0].copy()))
         self.register_buffer("high", torch.from_numpy(bounds[1].copy()))
 
-    def forward(self, obs: Tensor, steps: Tensor | None = None) -> Tensor:
-        """Most likely actions [N, A], within bounds, of raw observations [N, O]."""
-        return self._bounded(self._output(obs, steps))
+    def _noisy(self, output: Tensor, generator: torch.Generator | None) -> Tensor:
+        return output + self.std * torch.randn(output.shape, generator=generator)
 
-    def sample(
-        self,
-        obs: Tensor,
-        generator: torch.Generator | None = None,
-        steps: Tensor | None = None,
-    ) -> Tensor:
-        """Sampled actions [N, A], clipped after sampling as in training."""
-        mean = self._output(obs, steps)
-        return self._bounded(mean + self.std * torch.randn(mean.shape, generator=generator))
-
-    def _bounded(self, action: Tensor) -> Tensor:
-        return torch.minimum(torch.maximum(action, self.low), self.high)
+    def _mode(self, output: Tensor) -> Tensor:
+        return torch.minimum(torch.maximum(output, self.low), self.high)
 
 
 class CategoricalPolicy(PolicyModule):
@@ -152,22 +166,11 @@ class CategoricalPolicy(PolicyModule):
         self.sizes = list(sizes)
         self.register_buffer("first", torch.from_numpy(first.copy()))
 
-    def forward(self, obs: Tensor, steps: Tensor | None = None) -> Tensor:
-        """Most likely actions [N, components], whole numbers, of raw observations [N, O]."""
-        return self._chosen(self._output(obs, steps))
-
-    def sample(
-        self,
-        obs: Tensor,
-        generator: torch.Generator | None = None,
-        steps: Tensor | None = None,
-    ) -> Tensor:
-        """Sampled actions [N, components], whole numbers."""
-        logits = self._output(obs, steps)
-        uniform = torch.rand(logits.shape, generator=generator, dtype=torch.float64)
+    def _noisy(self, output: Tensor, generator: torch.Generator | None) -> Tensor:
+        uniform = torch.rand(output.shape, generator=generator, dtype=torch.float64)
         gumbel = -torch.log(-torch.log(uniform.clamp_min(1e-300)))
-        return self._chosen(logits + gumbel.float())
+        return output + gumbel.float()
 
-    def _chosen(self, logits: Tensor) -> Tensor:
-        parts = [part.argmax(dim=1) for part in torch.split(logits, self.sizes, dim=1)]
+    def _mode(self, output: Tensor) -> Tensor:
+        parts = [part.argmax(dim=1) for part in torch.split(output, self.sizes, dim=1)]
         return torch.stack(parts, dim=1) + self.first

@@ -136,7 +136,7 @@ def test_without_exact_environments_every_move_is_told():
 
 
 QUICK_STEPS = """
-    import itertools, threading
+    import itertools
     from dppo.process import leave
 
     def work():
