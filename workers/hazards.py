@@ -1,7 +1,7 @@
 """MuJoCo tasks where it pays to be careful: actions that tremble, and gambles above a threshold.
 
     HopperActionNoise-v4    noise of std 0.1 (of half the control range) is added to each action
-    HopperRiskySpeed-v4     forward speed above a threshold also pays +5 or -5, evens
+    HopperRiskySpeed-v4     forward speed above a threshold also pays +10 or -10, evens
     HopperRiskyAngle-v4     the same for a torso that leans beyond a threshold
 
 For HalfCheetah, Hopper, Walker2d and Ant (which has no one angle), on Gymnasium's -v4 and -v5. A
@@ -9,7 +9,7 @@ gamble has mean 0: it leaves every policy's expected return as it is and only ad
 that what a penalty on variance gains can be told from what it gives up. Keyword arguments:
 `noise_std`, `risk`, `threshold`, `over`, and those of the Gymnasium class.
 
-    gymnasium.make("workers.hazards:HopperRiskySpeed-v4", threshold=2.0, risk=10)
+    gymnasium.make("workers.hazards:HopperRiskySpeed-v4", threshold=2.0, risk=5)
 
 The name before the colon imports this module, which registers them. `dppo-learner` needs no such
 name.
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 Float64 = NDArray[np.float64]
 Env = gymnasium.Env[Any, Any]
 _NOISE_STD = 0.1
-_RISK = 5.0
+_RISK = 10.0
 _SPEED = {"HalfCheetah": 4.0, "Hopper": 2.5, "Walker2d": 3.0, "Ant": 1.5}
 """[m/s] about what trained policies run at."""
 _ANGLE = {"HalfCheetah": 0.2, "Hopper": 0.05, "Walker2d": 0.2}

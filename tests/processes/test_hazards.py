@@ -56,7 +56,7 @@ def test_a_trained_policy_meets_the_hazards_and_the_gamble_is_in_the_infos():
         gambles.append(info["gamble"])
         speeds.append(info["x_velocity"])
     gamble, speed = np.array(gambles), np.array(speeds)
-    assert set(np.unique(gamble)) == {-5.0, 0.0, 5.0}
+    assert set(np.unique(gamble)) == {-10.0, 0.0, 10.0}
     assert ((gamble != 0) == (speed > 1.0)).all()
 
 
@@ -88,11 +88,11 @@ def steps_alike(env_id, plain_id, **kwargs):
 
 
 def test_a_gamble_leaves_the_physics_alone_and_has_mean_zero():
-    """400 fair coins of 5: the mean's standard error is 5 / 20 = 0.25."""
+    """400 fair coins of 10: the mean's standard error is 10 / 20 = 0.5."""
     risky, plain = steps_alike("HalfCheetahRiskySpeed-v4", "HalfCheetah-v4", threshold=-100.0)
     gamble = risky - plain
-    np.testing.assert_allclose(np.abs(gamble), 5.0, rtol=1e-12)
-    assert abs(gamble.mean()) < 4 * 0.25
+    np.testing.assert_allclose(np.abs(gamble), 10.0, rtol=1e-12)
+    assert abs(gamble.mean()) < 4 * 0.5
     assert abs(np.corrcoef(gamble[1:], gamble[:-1])[0, 1]) < 4 / 20
 
 
@@ -118,7 +118,7 @@ def test_ids_work_with_gymnasium_and_are_captured_as_whole():
     env = gymnasium.make("workers.hazards:Walker2dRiskyAngle-v5", threshold=0.5)
     assert env.spec is not None
     assert env.spec.max_episode_steps == 1000
-    assert hazards.hazard_of(env) == hazards.Hazard(risk=5.0, threshold=0.5, over="angle")
+    assert hazards.hazard_of(env) == hazards.Hazard(risk=10.0, threshold=0.5, over="angle")
     assert exactness(env, wanted=True) == "captured"
     assert isinstance(make_vec("AntActionNoise-v4", 2), HazardousVec)
 
