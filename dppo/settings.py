@@ -29,9 +29,9 @@ class RolloutConfig:
 
     slots: int = 8
     """W: logical workers; they fix data and batch, processes only the speed [count]."""
-    num_envs: int = 2
+    num_envs: int = 4
     """E: environments per slot [count]."""
-    num_steps: int = 128
+    num_steps: int = 64
     """Steps per environment and iteration; T = E x num_steps per slot [env steps]."""
     window: int = 0
     """K: advantages are cut and bootstrapped every K steps; 0: only at num_steps [env steps]."""

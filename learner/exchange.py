@@ -33,6 +33,7 @@ from dppo.wire.messages import (
     ToLearner,
     Welcome,
 )
+from learner.meanwhile import Meanwhile
 from learner.members import Members, listed
 from learner.questions import Questions
 from learner.roster import Roster, spaces_in
@@ -86,6 +87,8 @@ class Exchange:
         self.exact = True
         """No slot has lost a bit on a move."""
         self._deadlines = deadlines or Deadlines(leases.num_slots, drop_limit=0)
+        self.meanwhile = Meanwhile()
+        """What is done when the next question has been put."""
 
     @property
     def roster(self) -> Roster:
@@ -120,9 +123,10 @@ class Exchange:
 
     def gather(self, task: Task, quorum: int) -> Round[Answer]:
         """Ask all slots, wait until the round may close, take what else is there; the round."""
-        self._pause()
         round_ = self._questions.open(task, quorum)
         self._members.asked(type(task))
+        self.meanwhile.do()
+        self._pause()
         begun = remarked = self._clock()
         deadline = self._deadlines.open(round_, begun)
         if isinstance(task, Collect):

@@ -4,6 +4,7 @@ import json
 import logging
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from learner.dropping import Accounts
 from learner.exchange import Exchange
 from learner.ledger import Ledger
 from learner.replay import Original
+from learner.report import IterationReport
 from learner.runlog import RunLog
 from learner.saving import Saving
 from learner.soundness import Expected
@@ -107,6 +109,7 @@ class Session:
         try:
             self._iterate(networks, self._ledger, runlog, console, stop_at)
         finally:
+            self._exchange.meanwhile.do()
             console.close()
             runlog.close()
         finished = self.state.iteration >= self._config.iterations
@@ -132,23 +135,35 @@ class Session:
     ) -> None:
         assert self.state is not None
         chief = Chief(self.state, networks, self._config, self.generation, self._exchange, ledger)
-        rounds = self._config.update.updates + 2
         while self.state.iteration < self._config.iterations and self._env_steps < stop_at:
             begun = time.monotonic()
             report = chief.iterate()
-            seconds = time.monotonic() - begun
-            speed = self._config.rollout.samples / seconds
+            tell = partial(self._tell, report, time.monotonic() - begun, ledger, runlog, console)
+            self._exchange.meanwhile.add(tell)
             self.state = chief.state
-            measured = {
-                "charts/SPS": speed,
-                "cluster/round_ms": 1000 * seconds / rounds,
-                "cluster/unsaved_iterations": self._saving.unsaved(self.state.iteration),
-            }
-            runlog.write(report, measured | ledger.accounts.metrics())
-            console.show(report, speed)
             if self.state.iteration % self._every == 0:
+                self._exchange.meanwhile.do()  # lines are on the disk before their checkpoint is
                 self._saving.begin(self.state)
+        self._exchange.meanwhile.do()
         self._saving.finish(self.state, look_after=self._look_after)
+
+    def _tell(
+        self,
+        report: IterationReport,
+        seconds: float,
+        ledger: Ledger,
+        runlog: RunLog,
+        console: Console,
+    ) -> None:
+        """One iteration, which took so long, to files and screen."""
+        speed = self._config.rollout.samples / seconds
+        measured = {
+            "charts/SPS": speed,
+            "cluster/round_ms": 1000 * seconds / (self._config.update.updates + 2),
+            "cluster/unsaved_iterations": self._saving.unsaved(report.iteration),
+        }
+        runlog.write(report, measured | ledger.accounts.metrics())
+        console.show(report, speed)
 
     @property
     def _env_steps(self) -> int:

@@ -26,7 +26,7 @@ from workers.envs import make_env, make_vec, quiet, spaces_of
 
 Ends = list[NDArray[np.bool_]]
 """Which rows ended after each step."""
-_ROWS = (1, 2, 4, 8, 16)
+_ROWS = (1, 2, 4, 8, 16, 32)
 """Numbers of environments that are stepped side by side."""
 _CYCLE = 256
 """Steps after which the actions repeat."""

@@ -31,9 +31,9 @@ def test_a_quiet_machine_needs_no_advice_but_the_default():
         ({"all_cores": 6200.0 * 1.4}, "2 processes step only 1.4 times as much as one"),
         ({"cores": 12, "quota": 12.0}, "--slots 8 leaves 4 cores idle"),
         (
-            {"one_process": {2: 80.0, 8: 100.0, 16: 125.0}},
-            "2 workers step 8 environments each, 16 would step 1.25 times as fast: "
-            "--num-envs 4 --num-steps 64",
+            {"one_process": {2: 80.0, 16: 100.0, 32: 125.0}},
+            "2 workers step 16 environments each, 32 would step 1.25 times as fast: "
+            "--num-envs 8 --num-steps 32",
         ),
         ({"threads": {"OMP_NUM_THREADS": "8"}}, "OMP_NUM_THREADS=8 does not matter"),
     ],
@@ -56,7 +56,7 @@ def test_the_command_measures_raw_and_ours(harness):
     printed = json.loads(process.text)
     assert printed["env"] == "Hopper-v5"
     assert min(printed["raw"], printed["all_cores"], *printed["one_process"].values()) > 0
-    assert set(printed["one_process"]) == {"1", "2", "4", "8", "16"}
+    assert set(printed["one_process"]) == {"1", "2", "4", "8", "16", "32"}
 
 
 def test_an_environment_without_mujoco_has_no_raw_line(harness):

@@ -37,6 +37,16 @@ def test_a_worker_is_welcomed_then_asked_for_all_slots():
     assert one.heard() == ["Collect (0, 1, 2, 3)"]
 
 
+def test_what_is_left_for_meanwhile_is_done_once_the_question_is_put():
+    story = Story("w1")
+    heard = []
+    story.players[0].heard()
+    story.exchange.meanwhile.add(lambda: heard.extend(story.players[0].heard()))
+    story.players[0].collected(*ALL)
+    story.collect()
+    assert heard == ["Collect (0, 1, 2, 3)"]
+
+
 def test_a_worker_that_is_not_ready_or_has_no_proper_name_gets_no_task():
     story = Story("w1")
     unready, unnamed = Player("w2", story.hub), Player("w/3", story.hub)

@@ -41,7 +41,7 @@ REFUSED = [
     (
         RolloutConfig,
         {"window": 100},
-        "--window is 100, expected 0 or a divisor of num_steps = 128",
+        "--window is 100, expected 0 or a divisor of num_steps = 64",
     ),
     (RolloutConfig, {"window": 512}, "--window is 512, expected 0 or a divisor of num_steps"),
     (RolloutConfig, {"clip_obs": 0.0}, "--clip-obs is 0.0, expected > 0"),
@@ -148,8 +148,8 @@ def test_settings_are_frozen():
 def test_counts_of_the_default():
     config = Config(rollout=RolloutConfig(drop=3))
     assert config.rollout.quorum == 5
-    assert config.rollout.samples_per_slot == 2 * 128
-    assert config.rollout.samples == 8 * 2 * 128
+    assert config.rollout.samples_per_slot == 4 * 64
+    assert config.rollout.samples == 8 * 4 * 64
     assert config.update.policy_updates == 5 * 2
     assert config.update.critic_updates == config.update.updates == 10
 
