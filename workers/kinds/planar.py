@@ -54,6 +54,10 @@ class HalfCheetahV5(HalfCheetahV4):
 class Walker2dV4(_Runner):
     """Ends when it falls."""
 
+    def __init__(self, env: Any) -> None:  # noqa: ANN401  as in Kind
+        super().__init__(env)
+        self._healthy_range = self._bounds()
+
     def judge(self, before: State, now: State, action: Array) -> Judgement:
         env = self.env
         x, velocity, cost = self._motion(before, now, action)
@@ -64,10 +68,18 @@ class Walker2dV4(_Runner):
         info |= self._parts(now, forward, cost, alive)
         return Judgement(forward + alive - cost, ~healthy & env._terminate_when_unhealthy, info)
 
+    def _bounds(self) -> tuple[Float64, Float64]:
+        """Between what z, the torso's angle and what `_posture` adds have to stay."""
+        z, angle = self.env._healthy_z_range, self.env._healthy_angle_range
+        low, high = zip(z, angle, strict=True)
+        return np.array(low, np.float64), np.array(high, np.float64)
+
+    def _posture(self, now: State) -> Float64:
+        return now["qpos"][:, 1:3]
+
     def _healthy(self, now: State) -> NDArray[np.bool_]:
-        (low, high), (left, right) = self.env._healthy_z_range, self.env._healthy_angle_range
-        z, angle = now["qpos"][:, 1], now["qpos"][:, 2]
-        healthy: NDArray[np.bool_] = (low < z) & (z < high) & (left < angle) & (angle < right)
+        (low, high), posture = self._healthy_range, self._posture(now)
+        healthy: NDArray[np.bool_] = np.all((low < posture) & (posture < high), axis=1)
         return healthy
 
     def _alive(self, healthy: NDArray[np.bool_]) -> Float64:
@@ -102,13 +114,18 @@ class Walker2dV5(Walker2dV4):
 
 
 class HopperV4(Walker2dV4):
-    """The whole state has to stay in a range."""
+    """The whole state from the angle on has to stay in a range."""
 
-    def _healthy(self, now: State) -> NDArray[np.bool_]:
-        low, high = self.env._healthy_state_range
-        state = np.concatenate((now["qpos"], now["qvel"]), axis=1)[:, 2:]
-        within: NDArray[np.bool_] = ((low < state) & (state < high)).all(axis=1)
-        return within & super()._healthy(now)
+    def _bounds(self) -> tuple[Float64, Float64]:
+        (low, high), (least, most) = super()._bounds(), self.env._healthy_state_range
+        others = self.env.model.nq + self.env.model.nv - 3
+        return (
+            np.array([low[0], max(low[1], least), *[least] * others]),
+            np.array([high[0], min(high[1], most), *[most] * others]),
+        )
+
+    def _posture(self, now: State) -> Float64:
+        return np.concatenate((now["qpos"], now["qvel"]), axis=1)[:, 1:]
 
 
 class HopperV5(HopperV4, Walker2dV5):
