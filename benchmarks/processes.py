@@ -105,7 +105,8 @@ def started(
 def _guard() -> subprocess.Popen[bytes]:
     """Ends all that has been started here when this process is gone."""
     words = [sys.executable, "-S", "-P", __file__, _OWN]
-    return subprocess.Popen(words, stdin=subprocess.PIPE, start_new_session=True)
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(words, stdin=subprocess.PIPE, env=env, start_new_session=True)
 
 
 def family(pid: int) -> list[int]:

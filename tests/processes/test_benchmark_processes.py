@@ -114,10 +114,10 @@ def test_what_a_benchmark_leaves_when_it_is_cut_off_is_gone(file, number):
         time.sleep(60)
         """
     )
-    env = {k: v for k, v in os.environ.items() if k != "DPPO_BENCHMARK"}
-    env["PYTHONPATH"] = str(Path(__file__).parents[2])
+    env = {k: v for k, v in os.environ.items() if k not in ("DPPO_BENCHMARK", "PYTHONPATH")}
+    root = Path(__file__).parents[2]
     with subprocess.Popen(
-        [sys.executable, "-c", benchmark], env=env, stderr=subprocess.PIPE
+        [sys.executable, "-c", benchmark], env=env, cwd=root, stderr=subprocess.PIPE
     ) as process:
         pids = pids_in(file)
         process.send_signal(number)
