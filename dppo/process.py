@@ -99,12 +99,20 @@ def start_logging(verbose: bool) -> None:
 
 
 def leave(work: Callable[[], int]) -> NoReturn:
-    """Run `work` and end the process with its exit code, without waiting for any thread."""
+    """Run `work` and end the process with its exit code, without waiting for any thread.
 
-    def terminated(_signal: int, _frame: FrameType | None) -> None:
-        raise Terminated
+    The first Ctrl-C or SIGTERM ends it. Later ones change nothing: they would cut short what
+    tidies up, and leave processes behind.
+    """
 
-    signal.signal(signal.SIGTERM, terminated)
+    def ended(number: int, _frame: FrameType | None) -> None:
+        for each in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(each, signal.SIG_IGN)
+        raise KeyboardInterrupt if number == signal.SIGINT else Terminated
+
+    signal.signal(signal.SIGTERM, ended)
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as it is behind nohup and &
+        signal.signal(signal.SIGINT, ended)
     sys.setswitchinterval(_SWITCH_SECONDS)
     try:
         code = work()
