@@ -50,6 +50,7 @@ def test_a_container_quota_is_read_as_cores(tmp_path):
     assert _quota(file, 8) == _quota(tmp_path / "nothing", 8) == 8.0
 
 
+@pytest.mark.slow
 def test_the_command_measures_raw_and_ours(harness):
     process = harness.start("dppo", "bench", "--env", "Hopper-v5", "--seconds", "0.05", "--json")
     assert process.wait() == 0, process.text
@@ -59,6 +60,7 @@ def test_the_command_measures_raw_and_ours(harness):
     assert set(printed["one_process"]) == {"1", "2", "4", "8", "16", "32"}
 
 
+@pytest.mark.slow
 def test_an_environment_without_mujoco_has_no_raw_line(harness):
     process = harness.start("dppo", "bench", "--env", "CartPole-v1", "--seconds", "0.05")
     assert process.wait() == 0, process.text

@@ -63,7 +63,9 @@ def test_the_torch_module_acts_like_the_trainer_policy(run_dir):
     assert np.abs(expected).max() > 0
 
 
-@pytest.mark.parametrize("env_id", ["Hopper-v5", "FourRooms-v0"])
+@pytest.mark.parametrize(
+    "env_id", ["Hopper-v5", pytest.param("FourRooms-v0", marks=pytest.mark.slow)]
+)
 def test_results_do_not_depend_on_how_many_are_played_side_by_side(runs, env_id):
     play_all = partial(evaluate, policy_of(newest(runs(env_id))), deterministic=False, seed=3)
     together = play_all(episodes=5, places=2)

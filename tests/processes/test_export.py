@@ -97,6 +97,7 @@ def test_onnx_acts_like_the_trainer_for_any_number_of_observations(harness, runs
         np.testing.assert_allclose(found, actions[:count], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_file_that_acts_otherwise_is_not_written(runs, tmp_path):
     from dppo.errors import RunFailedError
 

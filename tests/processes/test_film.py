@@ -119,6 +119,7 @@ def test_what_cannot_be_filmed_is_one_sentence_and_code_2(
     assert not (harness.folder / "a.gif").exists()
 
 
+@pytest.mark.slow
 def test_without_a_screen_there_is_no_window_but_advice(harness, runs):
     process = harness.start("dppo", "watch", str(runs("Hopper-v5")), environment=SCREENLESS)
     assert process.wait() == 2, process.text

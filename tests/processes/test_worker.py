@@ -157,6 +157,7 @@ QUICK_STEPS = """
 """
 
 
+@pytest.mark.slow
 def test_signs_of_life_are_sent_beside_steps_that_take_microseconds():
     words = [sys.executable, "-c", textwrap.dedent(QUICK_STEPS)]
     # 2 s; with Python's own switch interval: after minutes, or never.

@@ -33,6 +33,7 @@ def same_bits(one, other):
     return all(getattr(one, name).tobytes() == getattr(other, name).tobytes() for name in names)
 
 
+@pytest.mark.slow
 def test_a_trial_gives_the_same_numbers_alone_among_10_and_among_50():
     alone = outcomes([Trial(SAFE, 4)])[SAFE, 4]
     among_10 = outcomes([Trial(SAFE, number) for number in range(10)])[SAFE, 4]
