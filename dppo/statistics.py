@@ -20,6 +20,13 @@ def tail_mean(values: Float64, fraction: float = 0.1) -> Float64:
     return mean
 
 
+def spread(values: Float64) -> Float64:
+    """[...] standard deviation of a sample [..., N], with N - 1; 0 of a single one."""
+    if values.shape[-1] < 2:
+        return np.zeros(values.shape[:-1])
+    return np.asarray(values.std(axis=-1, ddof=1))
+
+
 def cvar(returns: Float64, fraction: float = 0.1) -> float:
     """Conditional value at risk: mean of the worst `fraction` of the returns, of at least one."""
     return float(tail_mean(returns, fraction))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dppo.config import Config
-from dppo.statistics import Measure, intervals, tail_mean
+from dppo.statistics import Measure, intervals, spread, tail_mean
 from dppo.store.checkpoint import Checkpoint
 from dppo.streams import stream
 from workers.envs import make_env, spaces_of
@@ -20,7 +20,7 @@ _BOOTSTRAP = 1
 """Second index of the stream that intervals are drawn from; see `workers.play.Plan.noise`."""
 _MEASURES: dict[str, Measure] = {
     "mean": lambda values: values.mean(axis=-1),
-    "std": lambda values: values.std(axis=-1),
+    "std": spread,
     "median": lambda values: np.asarray(np.median(values, axis=-1)),
     "cvar10": tail_mean,
 }

@@ -5,8 +5,11 @@
     schedule.py, pace.py               which run is next, how long it takes: no process, no clock
     folder.py, processes.py, work.py   files, subprocesses and the loop around them
     evaluation.py, measure.py          what runs leave behind, as arrays
-    statistics.py, compare.py          intervals and tests
-    results.py, verdicts.py            results.json, and sentences computed from it
+    statistics.py, significance.py     figures, their intervals, and tests
+    compare.py, calibrated.py          an arm's figures, and the arm against the baseline
+    results.py                         results.json
+    verdicts.py, claims.py             sentences computed from it; the paper's claims
+    tables.py, policy_tables.py        tables; numbers.py, how_to_read.py: what is in them
     report.py, page.py, figures.py     the report as Markdown and HTML
 
 Trainers and evaluations are subprocesses: nothing here imports learner or workers.

@@ -137,7 +137,7 @@ def _table2(args: Table2Args, theirs: list[str]) -> Grid:
 
 def _experiment(grid: Grid, args: GridArgs, name: str) -> int:
     from dppo.experiment.console import Console
-    from dppo.experiment.statistics import has_tests
+    from dppo.experiment.significance import has_tests
     from dppo.experiment.work import Work
 
     folder, jobs = Folder(Path(args.out or f"runs/{name}")), args.jobs or usable_cores()
@@ -149,7 +149,9 @@ def _experiment(grid: Grid, args: GridArgs, name: str) -> int:
         flush=True,
     )
     if not has_tests():
-        print("the report will lack two tests: SciPy is missing; pip install '.[experiment]'")
+        print(
+            "the report will lack its tests and most intervals: SciPy is missing; pip install '.[experiment]'"
+        )
     with Console() as console:
         work = Work(folder, grid, jobs, console)
         is_over = work.run()

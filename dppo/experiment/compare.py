@@ -1,16 +1,23 @@
 """The figures of an arm on an environment, and of the arm against the baseline."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
+from dppo.experiment.calibrated import calibration
 from dppo.experiment.measure import Cell
+from dppo.experiment.significance import (
+    brown_forsythe,
+    mann_whitney,
+    ratio,
+    share_interval,
+    spread_ratio_interval,
+    welch,
+)
 from dppo.experiment.statistics import (
     Floats,
     Interval,
     Statistic,
-    brown_forsythe,
     cvar10,
     improvement,
     improvement_interval,
@@ -19,9 +26,8 @@ from dppo.experiment.statistics import (
     mean,
     resampled,
     resampled_nested,
-    spread,
-    welch,
 )
+from dppo.statistics import spread
 
 LAST = (200, 100)
 """Training episodes: the paper's measure, and the one of `rollout/ep_rew_mean`."""
@@ -29,6 +35,8 @@ MARKS = (1_000_000, 2_000_000, 3_000_000, 5_000_000, 10_000_000)
 """Where returns are told on the way [env steps]."""
 STARTS = ("free", "fixed")
 _WITHIN: dict[str, Statistic] = {"mean": mean, "std": spread, "cvar10": cvar10}
+KINDS = {"undiscounted": "return", "discounted": "discounted_return"}
+"""Returns of evaluation episodes, and what an episode calls them."""
 
 
 def summary(cell: Cell) -> dict[str, Any]:
@@ -65,6 +73,7 @@ def training(cell: Cell, count: int) -> dict[str, Any]:
         "by_seed": _list(scores),
         "mean": float(scores.mean()),
         "std_across_seeds": float(spread(scores)) if several else None,
+        "fewest_episodes": min(len(one.returns[-count:]) for one in cell.finished),
         "std_of_all_episodes": float(spread(pooled)),
         "mean_interval": _seeds_interval(scores, mean, f"{label}/mean"),
         "iqm": float(interquartile_mean(scores)),
@@ -78,7 +87,9 @@ def on_the_way(cell: Cell) -> dict[str, Any]:
     for steps in MARKS:
         if steps <= cell.runs[0].real_steps and len(scores := cell.scores_at(steps)):
             std = float(spread(scores)) if len(scores) > 1 else None
-            found[str(steps)] = {"mean": float(scores.mean()), "std_across_seeds": std}
+            found[str(steps)] = {
+                "mean": float(scores.mean()), "std_across_seeds": std, "by_seed": _list(scores)
+            }  # fmt: skip
     return found
 
 
@@ -87,21 +98,18 @@ def evaluation(cell: Cell, start: str) -> dict[str, Any] | None:
     returns = cell.evaluated(start, "return")
     if returns is None:
         return None
-    label = f"{cell.env}/{cell.arm}/{start}"
-    found: dict[str, Any] = {
-        "seeds": returns.shape[0],
-        "episodes_per_seed": returns.shape[1],
-        "undiscounted": _within(returns, label),
-        "length_mean": _mean_of(cell.evaluated(start, "length")),
-    }
-    discounted = cell.evaluated(start, "discounted_return")
-    if discounted is not None:
-        found["discounted"] = _within(discounted, f"{label}/discounted")
-    falls = cell.evaluated(start, "terminated")
+    found: dict[str, Any] = {"seeds": returns.shape[0], "episodes_per_seed": returns.shape[1]}
+    for kind, name in KINDS.items():
+        if (values := cell.evaluated(start, name)) is not None:
+            found[kind] = _within(values, f"{cell.env}/{cell.arm}/{start}/{kind}")
+    lengths, falls = cell.evaluated(start, "length"), cell.evaluated(start, "terminated")
+    if lengths is not None:
+        found["length_mean"] = float(lengths.mean())
     if falls is not None:
-        found["falls"] = float(falls.mean())
-        found["falls_interval"] = interval(resampled_nested(falls, mean, f"{label}/falls"))
-        found["falls_by_seed"] = _list(falls.mean(axis=1))
+        by_seed = falls.mean(axis=1)
+        found["falls"] = float(by_seed.mean())
+        found["falls_interval"] = share_interval(by_seed, falls.shape[1])
+        found["falls_by_seed"] = _list(by_seed)
     return found
 
 
@@ -118,36 +126,6 @@ def _within(returns: Floats, label: str) -> dict[str, Any]:
     return found
 
 
-def calibration(cell: Cell) -> dict[str, Any] | None:
-    """Mean over seeds of each number of `dppo eval`'s calibration; None: no seed has one."""
-    found = [
-        _flat(one.evaluation["calibration"])
-        for one in cell.finished
-        if "calibration" in one.evaluation
-    ]
-    if not found:
-        return None
-    names = [name for name, value in found[0].items() if _is_number(value)]
-    return {
-        name: {"mean": float(np.mean(values)), "by_seed": values}
-        for name in names
-        if len(values := [one[name] for one in found if _is_number(one.get(name))]) == len(found)
-    }
-
-
-def _flat(values: Mapping[str, Any]) -> dict[str, Any]:
-    """With the standard deviations from the start states: root mean squares over those."""
-    starts = values.get("starts")
-    if not isinstance(starts, list | tuple) or not starts:
-        return dict(values)
-    found = {}
-    for name in ("predicted_std", "empirical_std"):
-        stds = [one.get(name) for one in starts]
-        if all(map(_is_number, stds)):
-            found[name] = float(np.sqrt(np.mean(np.square(stds))))
-    return found | dict(values)
-
-
 def comparison(cell: Cell, base: Cell) -> dict[str, Any] | None:
     """An arm against the baseline on the same environment; None: one of them has no seed."""
     if not (cell.finished and base.finished):
@@ -156,11 +134,21 @@ def comparison(cell: Cell, base: Cell) -> dict[str, Any] | None:
     found: dict[str, Any] = {
         f"last{count}": _across_seeds(cell, base, count, f"{label}/last{count}") for count in LAST
     }
+    found["on_the_way"] = _on_the_way_against(cell, base)
     for start in STARTS:
-        pair = cell.evaluated(start, "return"), base.evaluated(start, "return")
-        if pair[0] is not None and pair[1] is not None:
-            found[start] = _policies(pair[0], pair[1], f"{label}/{start}")
+        if (policies := _policies(cell, base, start)) is not None:
+            found[start] = policies
     return found
+
+
+def _on_the_way_against(cell: Cell, base: Cell) -> dict[str, Any]:
+    """Differences of the returns at the marks."""
+    return {
+        str(steps): _difference(cell.scores_at(steps), base.scores_at(steps))
+        for steps in MARKS
+        if steps <= min(cell.runs[0].real_steps, base.runs[0].real_steps)
+        and min(len(cell.scores_at(steps)), len(base.scores_at(steps)))
+    }
 
 
 def _across_seeds(cell: Cell, base: Cell, count: int, label: str) -> dict[str, Any]:
@@ -172,6 +160,7 @@ def _across_seeds(cell: Cell, base: Cell, count: int, label: str) -> dict[str, A
         "welch_interval": test.interval if test else None,
         "welch_p": test.p if test else None,
         "probability_of_improvement": improvement(ours, theirs),
+        "mann_whitney_p": mann_whitney(ours, theirs),
         "brown_forsythe_p": brown_forsythe(ours, theirs),
     }
     if min(len(ours), len(theirs)) > 1:
@@ -181,25 +170,46 @@ def _across_seeds(cell: Cell, base: Cell, count: int, label: str) -> dict[str, A
         ]
         found["difference_interval"] = interval(pair[0] - pair[1])
         found["probability_of_improvement_interval"] = improvement_interval(ours, theirs, label)
-        found["std_ratio"] = _ratio(float(spread(ours)), float(spread(theirs)))
+        found["stds"] = [float(spread(ours)), float(spread(theirs))]
+        found["std_ratio"] = _ratio(*found["stds"])
+        found["std_ratio_interval"] = spread_ratio_interval(ours, theirs)
     return found
 
 
-def _policies(ours: Floats, theirs: Floats, label: str) -> dict[str, Any]:
-    """Spread within a policy and mean as ratios, CVaR as a difference; nested intervals."""
+def _policies(cell: Cell, base: Cell, start: str) -> dict[str, Any] | None:
+    """Final policies against the baseline's: one number a seed, Welch's intervals."""
+    found: dict[str, Any] = {}
+    for kind, name in KINDS.items():
+        ours, theirs = cell.evaluated(start, name), base.evaluated(start, name)
+        if ours is not None and theirs is not None:
+            found["seeds"] = [len(ours), len(theirs)]
+            found[kind] = _returns_of_policies(ours, theirs)
+    if not found:
+        return None
+    for name in ("terminated", "length"):
+        ours, theirs = cell.evaluated(start, name), base.evaluated(start, name)
+        if ours is not None and theirs is not None:
+            found[name] = _difference(ours.mean(axis=1), theirs.mean(axis=1))
+    return found
+
+
+def _returns_of_policies(ours: Floats, theirs: Floats) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for name, statistic in _WITHIN.items():
-        drawn = [
-            resampled_nested(returns, statistic, f"{label}/{name}/{side}")
-            for side, returns in (("a", ours), ("b", theirs))
-        ]
-        values = [float(statistic(returns).mean()) for returns in (ours, theirs)]
-        found[f"{name}_difference"] = values[0] - values[1]
-        found[f"{name}_difference_interval"] = interval(drawn[0] - drawn[1])
-        if name != "cvar10" and (drawn[1] > 0).all():
-            found[f"{name}_ratio"] = _ratio(*values)
-            found[f"{name}_ratio_interval"] = interval(drawn[0] / drawn[1])
+        by_seed = statistic(ours), statistic(theirs)
+        found[name] = _difference(*by_seed)
+        if name != "cvar10" and (times := ratio(*by_seed)) is not None:
+            found[f"{name}_ratio"] = times.value
+            found[f"{name}_ratio_interval"] = times.interval
     return found
+
+
+def _difference(ours: Floats, theirs: Floats) -> dict[str, Any]:
+    test = welch(ours, theirs)
+    return {
+        "difference": float(ours.mean() - theirs.mean()),
+        "interval": test.interval if test else None,
+    }
 
 
 def _seeds_interval(scores: Floats, statistic: Statistic, label: str) -> Interval | None:
@@ -211,13 +221,5 @@ def _ratio(above: float, below: float) -> float | None:
     return above / below if below > 0 else None
 
 
-def _mean_of(values: Floats | None) -> float | None:
-    return None if values is None else float(values.mean())
-
-
 def _list(values: Floats) -> list[float]:
     return [float(value) for value in values]
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

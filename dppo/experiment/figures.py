@@ -58,8 +58,10 @@ def _curves(env: str, arms: Sequence[Cell]) -> Any:  # noqa: ANN401  matplotlib'
             continue
         steps = curve["steps"] / 1e6
         seeds = len(cell.finished)
-        axes.plot(steps, curve["mean"], color=colour, label=f"{cell.label}, {seeds} seeds")
-        low, high = curve["mean"] - curve["std"], curve["mean"] + curve["std"]
+        plural = "seed" if seeds == 1 else "seeds"
+        axes.plot(steps, curve["mean"], color=colour, label=f"{cell.label}, {seeds} {plural}")
+        band = np.nan_to_num(curve["std"])
+        low, high = curve["mean"] - band, curve["mean"] + band
         axes.fill_between(steps, low, high, color=colour, alpha=0.15, linewidth=0)
     axes.set_title(env)
     axes.set_xlabel("environment steps [million]")

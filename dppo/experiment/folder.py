@@ -132,10 +132,12 @@ class Folder:
         return self.result(run).get("status") == "finished"
 
     def is_evaluated(self, run: Run, episodes: int) -> bool:
-        """It is trained, and its evaluation is there if there is to be one."""
+        """It is trained, and so many free episodes of its evaluation are there."""
         if not self.is_trained(run):
             return False
-        return episodes == 0 or bool(self.evaluation(run))
+        found = self.evaluation(run).get("episodes", [])
+        free = [one for one in found if one.get("start", "free") == "free"]
+        return episodes == 0 or len(free) >= episodes
 
     def result(self, run: Run) -> dict[str, Any]:
         """How the run has ended; empty: it has not."""

@@ -1,7 +1,6 @@
 """What finished runs have left, as arrays."""
 
 import json
-import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,6 @@ from dppo.experiment.folder import Folder
 from dppo.experiment.plan import Grid, Run
 from dppo.experiment.statistics import Floats
 
-log = logging.getLogger("experiment")
 _PLAIN_ARMS = ("psi-paper", "psi-twice")
 """Of Table 2: they differ in ψ alone."""
 POINTS = 200
@@ -52,7 +50,7 @@ class Cell:
     runs: tuple[Run, ...]
     """All that were planned."""
     finished: tuple[Finished, ...]
-    """In the order of their seeds."""
+    """In the order of their seeds, those without any finished training episode left out."""
 
     @property
     def psi(self) -> float:
@@ -108,8 +106,6 @@ def _all_finished(folder: Folder, runs: list[Run]) -> Iterator[Finished]:
             one = _finished(folder, run)
             if len(one.returns):
                 yield one
-            else:
-                log.warning("%s has no finished episode: it is left out", run.name)
 
 
 def _finished(folder: Folder, run: Run) -> Finished:
@@ -144,7 +140,7 @@ def _rows(file: Path) -> Iterator[dict[str, Any]]:
 
 
 def curve_of(cell: Cell) -> dict[str, Floats] | None:
-    """Steps, mean and spread over seeds of the cell's learning curves; None: there is none."""
+    """Steps, mean and spread (NaN of one seed) of the cell's learning curves; None: no curve."""
     curves = [one.curve for one in cell.finished if len(one.curve[0])]
     if not curves:
         return None
@@ -152,5 +148,5 @@ def curve_of(cell: Cell) -> dict[str, Floats] | None:
     last = min(steps[-1] for steps, _ in curves)
     steps = np.linspace(first, max(first, last), POINTS)
     scores = np.array([np.interp(steps, *curve) for curve in curves])
-    spread = scores.std(axis=0, ddof=1) if len(scores) > 1 else np.zeros(POINTS)
+    spread = scores.std(axis=0, ddof=1) if len(scores) > 1 else np.full(POINTS, np.nan)
     return {"steps": steps, "mean": scores.mean(axis=0), "std": spread}

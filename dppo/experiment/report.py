@@ -4,11 +4,12 @@ import csv
 import io
 import itertools
 import json
+import math
 import shlex
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
-from dppo.experiment.compare import LAST
+from dppo.experiment import how_to_read
 from dppo.experiment.folder import Folder, Plan
 from dppo.experiment.measure import Cell, curve_of
 from dppo.experiment.page import (
@@ -21,15 +22,14 @@ from dppo.experiment.page import (
     to_html,
     to_markdown,
 )
+from dppo.experiment.policy_tables import calibration_sentence, calibrations, within_policies
 from dppo.experiment.results import Results, describe
 from dppo.experiment.tables import (
     all_arms,
     beside_the_paper,
-    calibrations,
     claims_table,
     on_the_way,
     over_environments,
-    within_policies,
 )
 
 _MANY = 30
@@ -58,7 +58,8 @@ def _curves(cells: Sequence[Cell]) -> str:
             continue
         for steps, mean, std in zip(*(curve[name] for name in curve), strict=True):
             row = [cell.env, cell.arm, f"{cell.psi:g}", len(cell.finished)]
-            table.writerow([*row, f"{steps:.0f}", f"{mean:.6g}", f"{std:.6g}"])
+            spread = "" if math.isnan(std) else f"{std:.6g}"
+            table.writerow([*row, f"{steps:.0f}", f"{mean:.6g}", spread])
     return text.getvalue()
 
 
@@ -74,9 +75,10 @@ def _blocks(results: Results, pictures: Sequence[tuple[str, str]]) -> Iterator[B
         )
         yield Heading("The paper's claims")
         yield claims_table(results)
+        yield Paragraph(how_to_read.claims(results))
     yield Heading("Every arm: training returns")
     yield all_arms(results)
-    yield Paragraph(_how_to_read(results))
+    yield Paragraph(how_to_read.training(results))
     if (table := on_the_way(results)) is not None:
         yield Heading("On the way: mean return of the last 100 training episodes")
         yield table
@@ -96,7 +98,8 @@ def _what_ran(results: Results) -> Iterator[Block]:
     seeds = sorted({len(arm["seeds_planned"]) for arm in arms})
     yield Paragraph(
         f"{runs['finished']} of {runs['planned']} runs have finished: "
-        f"{_count(results['environments'], 'environment')}, {_numbers(seeds)} seeds an arm, "
+        f"{_count(results['environments'], 'environment')}, {_numbers(seeds)} "
+        f"{'seed' if seeds == [1] else 'seeds'} an arm, "
         f"{_numbers(steps)} environment steps a run. Every number is in `results.json`; the "
         "curves are in `curves.csv`."
     )
@@ -108,6 +111,9 @@ def _what_ran(results: Results) -> Iterator[Block]:
             "**This is a partial grid.** What follows is of the finished runs alone, and arms may "
             "have different seeds." + (f" Missing: {names}{more}." if missing else "")
         )
+    if runs["without_episodes"]:
+        names = ", ".join(runs["without_episodes"])
+        yield Paragraph(f"Left out, since no training episode has finished: {names}.")
     if runs["failed"]:
         yield Paragraph("**Failed runs:**")
         yield Bullets([f"{name}: {reason}" for name, reason in runs["failed"].items()])
@@ -117,40 +123,19 @@ def _what_ran(results: Results) -> Iterator[Block]:
 
 
 def _evaluation(results: Results) -> Iterator[Block]:
-    for start, words in (("free", "free start states"), ("fixed", "one fixed start state")):
-        table = within_policies(results, start)
-        if table is None:
-            continue
-        yield Heading(f"Within a policy: evaluation from {words}")
-        yield table
-    if any(within_policies(results, start) is not None for start in ("free", "fixed")):
-        yield Paragraph(
-            "Of the final policy of each seed, not the best, with sampled actions as in training; "
-            "the same start states for all arms. *Std*: standard deviation over the episodes of "
-            "one policy, mean over seeds. Brackets: 95 %, episodes resampled within resampled "
-            "seeds. *Falls*: share of episodes that terminated."
-        )
+    any_table = False
+    for start, whence in (("free", "free start states"), ("fixed", "one fixed start state")):
+        for kind, what in (("undiscounted", "returns"), ("discounted", "discounted returns")):
+            if (table := within_policies(results, start, kind)) is not None:
+                any_table = True
+                yield Heading(f"Within a policy: {what} from {whence}")
+                yield table
+    if any_table:
+        yield Paragraph(how_to_read.POLICIES)
     if (table := calibrations(results)) is not None:
-        yield Heading("Calibration of σ")
+        yield Heading("Does σ know how far returns spread?")
         yield table
-
-
-def _how_to_read(results: Results) -> str:
-    last = " and ".join(str(count) for count in LAST)
-    tests = (
-        ""
-        if results["intervals"]["tests"]
-        else " SciPy is not installed, so Welch's and the Brown-Forsythe test are missing."
-    )
-    return (
-        f"Mean return of the last {last} training episodes of each seed; ± is the standard "
-        "deviation across seeds (n - 1). *IQM*: interquartile mean over seeds. Brackets: 95 % "
-        "intervals; of the IQM and of the probability of improvement by resampling seeds within "
-        "each arm, too narrow with few seeds; of the difference by Welch. *P(better)*: that a "
-        "seed of this arm beats one of the baseline. *p, spread*: Brown-Forsythe, of equal "
-        "spreads across seeds. Judged at 5 %, each on its own: among twenty comparisons of equal "
-        f"arms one is expected to look different.{tests}"
-    )
+        yield Paragraph(f"{calibration_sentence(results)} {how_to_read.SIGMA}")
 
 
 def _settings(results: Results) -> Iterator[Block]:
@@ -167,6 +152,13 @@ def _settings(results: Results) -> Iterator[Block]:
             lines.append(shlex.join(run))
     yield Paragraph("The first seed of each arm; the others differ in `--seed` only.")
     yield Code(lines)
+    if results["run_otherwise"]:
+        yield Paragraph(
+            "**These commands do not give these runs again:** the settings they had are in each "
+            "run's `config.json`."
+        )
+        runs = results["run_otherwise"].items()
+        yield Bullets([f"{name}: {', '.join(differences)}" for name, differences in runs])
     yield Paragraph("The experiment was started as:")
     sessions = results["sessions"]
     yield Code([f"{one['command']}  # {one['time']}, {one['jobs']} jobs" for one in sessions])

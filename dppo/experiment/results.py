@@ -10,16 +10,19 @@ import numpy as np
 from dppo.experiment.compare import comparison, summary
 from dppo.experiment.folder import Folder, Plan
 from dppo.experiment.measure import Cell, cells
+from dppo.experiment.paper import reported
+from dppo.experiment.significance import has_tests
 from dppo.experiment.statistics import (
     LEVEL,
     NESTED_RESAMPLES,
     RESAMPLES,
     Floats,
-    has_tests,
     interquartile_mean,
     interval,
+    mean,
     resampled,
 )
+from dppo.presets import PRESETS
 
 Results = dict[str, Any]
 _PACKAGES = ("dppo", "numpy", "scipy", "matplotlib")
@@ -33,12 +36,16 @@ def describe(folder: Folder, plan: Plan) -> tuple[Results, list[Cell]]:
         name: why for name, why in folder.failures().items() if _is_open(folder, plan, name)
     }
     trained = [run.name for run in grid.runs if folder.is_trained(run)]
+    described = [one for cell in found for one in cell.finished]
     results: Results = {
         "title": grid.title,
         "status": "whole" if len(trained) == len(grid.runs) else "partial",
         "runs": {
             "planned": len(grid.runs),
             "finished": len(trained),
+            "without_episodes": [
+                name for name in trained if name not in {one.run.name for one in described}
+            ],
             "failed": failures,
             "missing": [
                 run.name
@@ -56,6 +63,8 @@ def describe(folder: Folder, plan: Plan) -> tuple[Results, list[Cell]]:
             "nested_resamples": NESTED_RESAMPLES,
             "tests": has_tests(),
         },
+        "unlike_the_paper": _unlike_the_paper(found),
+        "run_otherwise": _run_otherwise(found),
         "commands": {run.name: ["dppo-learner", *run.words] for run in grid.runs},
         "sessions": [dict(one) for one in plan.sessions],
         "versions": _versions(found),
@@ -84,35 +93,83 @@ def over_environments(found: Sequence[Cell], baseline: str) -> dict[str, Any]:
     """Interquartile mean over environments and seeds, scores in units of the baseline's mean.
 
     Of each arm that every environment has, with seeds resampled within each environment (Agarwal
-    et al. 2021). Empty with one environment, or where a baseline's mean is not above 0.
+    et al. 2021), the baseline's along with the arm's: its mean is as uncertain. Of the seeds that
+    all environments have, so that each counts as much. Empty with one environment, fewer than two
+    seeds, or where a baseline's mean is not above 0.
     """
     envs = list(dict.fromkeys(cell.env for cell in found))
     by_key = {(cell.env, cell.arm): cell for cell in found if cell.finished}
-    units = {
-        env: float(by_key[env, baseline].scores(100).mean())
-        for env in envs
-        if (env, baseline) in by_key
-    }
-    if len(envs) < 2 or len(units) < len(envs) or min(units.values()) <= 0:
+    bases = [by_key[env, baseline].scores(100) for env in envs if (env, baseline) in by_key]
+    if len(envs) < 2 or len(bases) < len(envs):
         return {}
-    return {
-        arm: _together([by_key[env, arm].scores(100) / units[env] for env in envs], arm)
+    if min(map(len, bases)) < 2 or min(float(scores.mean()) for scores in bases) <= 0:
+        return {}
+    together = {
+        arm: _together([by_key[env, arm] for env in envs], bases, arm, is_base=arm == baseline)
         for arm in dict.fromkeys(cell.arm for cell in found)
         if all((env, arm) in by_key for env in envs)
     }
+    return {arm: one for arm, one in together.items() if one["seeds"] > 1}
 
 
-def _together(scores: list[Floats], arm: str) -> dict[str, Any]:
-    drawn = [
-        resampled(one, lambda values: values, f"over/{arm}/{place}")
-        for place, one in enumerate(scores)
+def _together(
+    cells_: Sequence[Cell], bases: list[Floats], arm: str, *, is_base: bool
+) -> dict[str, Any]:
+    common = set.intersection(*({one.run.seed for one in cell.finished} for cell in cells_))
+    scores = [
+        np.array([one.last(100) for one in cell.finished if one.run.seed in common])
+        for cell in cells_
     ]
-    several = min(map(len, scores)) > 1
-    values = interquartile_mean(np.concatenate(drawn, axis=1))
+    if len(common) < 2:
+        return {"seeds": len(common)}
+    drawn, units = [], []
+    for place, (one, base) in enumerate(zip(scores, bases, strict=True)):
+        label = f"over/{arm}/{place}"
+        drawn.append(resampled(one, lambda values: values, label))
+        of_base = f"{label}/base"
+        units.append(drawn[-1].mean(axis=1) if is_base else resampled(base, mean, of_base))
+    values = [one / unit[:, None] for one, unit in zip(drawn, units, strict=True)]
+    shares = [one / base.mean() for one, base in zip(scores, bases, strict=True)]
     return {
-        "iqm": float(interquartile_mean(np.concatenate(scores))),
-        "iqm_interval": interval(values) if several else None,
+        "seeds": len(common),
+        "iqm": float(interquartile_mean(np.concatenate(shares))),
+        "iqm_interval": interval(interquartile_mean(np.concatenate(values, axis=1))),
     }
+
+
+def _unlike_the_paper(found: Sequence[Cell]) -> dict[str, Any]:
+    """Settings of the first arm on an environment of the paper's that are not its recipe's."""
+    cell = next((one for one in found if reported(one.env) is not None), None)
+    if cell is None:
+        return {}
+    ours, theirs = cell.runs[0].config.to_dict(), PRESETS["paper"](cell.env).to_dict()
+    settings = [
+        f"{name} {value} (paper {theirs[group][name]})"
+        for group, fields in ours.items()
+        for name, value in fields.items()
+        if group != "run" and name != "psi" and theirs[group][name] != value
+    ]
+    return {"env": cell.env, "settings": settings}
+
+
+def _run_otherwise(found: Sequence[Cell]) -> dict[str, list[str]]:
+    """Runs whose settings are not what the commands of the report give, and in what."""
+    differences: dict[str, list[str]] = {}
+    for cell in found:
+        first = cell.runs[0]
+        for one in cell.finished:
+            was = one.facts.get("config", {})
+            found_ = [
+                f"--{name.replace('_', '-')} was {was[group][name]}"
+                for group, fields in one.run.config.to_dict().items()
+                for name, value in fields.items()
+                if name in was.get(group, {}) and was[group][name] != value
+            ]
+            if (one.run.settings, one.run.steps) != (first.settings, first.steps):
+                found_.append(f"seed {first.seed} of its arm has other settings")
+            if found_:
+                differences[one.run.name] = found_
+    return differences
 
 
 def _versions(found: Sequence[Cell]) -> dict[str, Any]:

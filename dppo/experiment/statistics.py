@@ -1,15 +1,13 @@
-"""Intervals and tests. Pure: equal numbers and labels give equal results.
+"""Figures and their intervals by resampling. Pure: equal numbers and labels give equal results.
 
 n seeds, E episodes of each, R resamples. Seeds are resampled within one arm on one environment
 (stratified); nested resamples draw seeds, and then episodes of each drawn seed. With few seeds
-such intervals are too narrow, so differences of means are judged by Welch's.
+such intervals are too narrow, so nothing is judged by them: see `significance.py`.
 """
 
 import math
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
-from importlib.util import find_spec
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,21 +24,9 @@ _AT_ONCE = 200
 LEVEL = 0.95
 
 
-def has_tests() -> bool:
-    """SciPy, which the two tests and Welch's interval need, is installed."""
-    return find_spec("scipy") is not None
-
-
 def mean(scores: Floats) -> Floats:
     """Mean over the last axis."""
     return np.asarray(scores.mean(axis=-1))
-
-
-def spread(scores: Floats) -> Floats:
-    """Standard deviation of a sample (n - 1) over the last axis; 0 of a single one."""
-    if scores.shape[-1] < 2:
-        return np.zeros(scores.shape[:-1])
-    return np.asarray(scores.std(axis=-1, ddof=1))
 
 
 def interquartile_mean(scores: Floats) -> Floats:
@@ -58,17 +44,17 @@ def cvar10(scores: Floats) -> Floats:
 
 def resampled(scores: Floats, statistic: Statistic, label: str) -> Floats:
     """[R] the statistic of resampled seeds; `label` names the draws, so nothing shifts them."""
-    picks = _generator(label).integers(len(scores), size=(RESAMPLES, len(scores)))
+    picks = generator(label).integers(len(scores), size=(RESAMPLES, len(scores)))
     return statistic(scores[picks])
 
 
 def resampled_nested(episodes: Floats, statistic: Statistic, label: str) -> Floats:
     """[R] mean over seeds of a statistic of episodes [n, E], both resampled."""
-    generator, (seeds, count) = _generator(label), episodes.shape
+    draws, (seeds, count) = generator(label), episodes.shape
     values = []
     for _ in range(NESTED_RESAMPLES // _AT_ONCE):
-        rows = generator.integers(seeds, size=(_AT_ONCE, seeds, 1))
-        columns = generator.integers(count, size=(_AT_ONCE, seeds, count))
+        rows = draws.integers(seeds, size=(_AT_ONCE, seeds, 1))
+        columns = draws.integers(count, size=(_AT_ONCE, seeds, count))
         values.append(statistic(episodes[rows, columns]).mean(axis=1))
     return np.concatenate(values)
 
@@ -106,41 +92,6 @@ def _improvements(scores: Floats, others: Floats) -> Floats:
     return np.asarray(found / scores.shape[1])
 
 
-@dataclass(frozen=True, slots=True)
-class Welch:
-    """Difference of two means, variances not taken to be equal."""
-
-    difference: float
-    interval: Interval
-    p: float
-
-
-def welch(scores: Floats, others: Floats) -> Welch | None:
-    """Welch's t-test; None: too few seeds, no spread at all, or no SciPy."""
-    if min(len(scores), len(others)) < 2 or not has_tests():
-        return None
-    variances = [float(one.var(ddof=1)) / len(one) for one in (scores, others)]
-    if sum(variances) == 0:
-        return None
-    from scipy.stats import ttest_ind
-
-    found = ttest_ind(scores, others, equal_var=False)
-    low, high = found.confidence_interval(LEVEL)
-    difference = float(scores.mean() - others.mean())
-    return Welch(difference, (float(low), float(high)), float(found.pvalue))
-
-
-def brown_forsythe(scores: Floats, others: Floats) -> float | None:
-    """P of equal spreads: an analysis of variance of distances to the medians; None as above."""
-    if min(len(scores), len(others)) < 3 or not has_tests():
-        return None  # of two numbers both are as far from their median
-    distances = [np.abs(one - np.median(one)) for one in (scores, others)]
-    if all(one.max() == one.min() for one in distances):
-        return None
-    from scipy.stats import levene
-
-    return float(levene(scores, others, center="median").pvalue)
-
-
-def _generator(label: str) -> np.random.Generator:
+def generator(label: str) -> np.random.Generator:
+    """A stream of its own for everything that is drawn."""
     return stream(0, "experiment", zlib.crc32(label.encode()))

@@ -148,7 +148,7 @@ def test_dppo_eval_prints_mean_spread_tail_falls_and_intervals(harness, run_dir)
         discounted = np.array([episode["discounted_return"] for episode in episodes])
         assert summary["episodes"] == 12
         assert summary["return_mean"] == pytest.approx(returns.mean())
-        assert summary["return_std"] == pytest.approx(returns.std())
+        assert summary["return_std"] == pytest.approx(returns.std(ddof=1))
         assert summary["return_median"] == pytest.approx(np.median(returns))
         assert summary["return_cvar10"] == pytest.approx(np.sort(returns)[:2].mean())
         assert summary["return_min"] == returns.min()

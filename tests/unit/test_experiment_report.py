@@ -2,92 +2,27 @@
 
 import json
 import re
-from typing import Any
 
 import pytest
 from scipy import stats
 
-from dppo.experiment.folder import Folder
 from dppo.experiment.plan import in_order
-from dppo.experiment.report import write_report
 from dppo.experiment.table2 import ENVIRONMENTS, table2
-from dppo.experiment.verdicts import of_goal, of_interval
-
-PLAIN, SAFE = (1000.0, 1600.0, 3200.0, 4100.0, 5600.0), (7000.0, 7010.0, 7025.0, 7030.0, 7035.0)
-SESSION = {
-    "command": "dppo experiment table2", "time": "2026-01-01T00:00:00+00:00", "jobs": 2,
-    "cores": 2, "processor": "a processor", "system": "a system",
-}  # fmt: skip
-
-
-def planned(tmp_path, envs=("HalfCheetah-v4",), seeds=5, evaluate=4, steps=8192):
-    """A folder in which nothing has run yet, and its grid."""
-    folder = Folder(tmp_path / "out")
-    folder.lock()
-    grid = table2(envs=envs, psis=(), seeds=seeds, steps=steps, evaluate=evaluate, settings={})
-    folder.add_to_plan(grid, SESSION)
-    return folder, grid
-
-
-def leave(folder, run, score, **evaluation):
-    """What a finished run leaves: 300 episodes; the last 200 return `score` on average."""
-    path = folder.run(run)
-    path.mkdir(parents=True)
-    facts = {"config": run.config.to_dict(), "versions": {"mujoco": "4.0.0"}}
-    ended = {"status": "finished", "parameters_sha256": "ab", "exact": True, "restarts": 0}
-    rows = [
-        {"iteration": 1, "time/total_timesteps": 4096, "rollout/ep_rew_mean": 0.0},
-        {"iteration": 2, "time/total_timesteps": 8192, "rollout/ep_rew_mean": score},
-    ]
-    episodes = [
-        {"iteration": 1, "returns": [-1000.0] * 100, "lengths": [10] * 100},
-        {"iteration": 2, "returns": [score - 1, score + 1] * 100, "lengths": [10] * 200},
-    ]
-    for name, lines in (("metrics.jsonl", rows), ("episodes.jsonl", episodes)):
-        (path / name).write_text("".join(json.dumps(line) + "\n" for line in lines))
-    for name, values in (
-        ("config.json", facts), ("result.json", ended), ("evaluation.json", evaluation),
-    ):  # fmt: skip
-        if values:
-            (path / name).write_text(json.dumps(values))
-
-
-def evaluated(spread, score, fell=False):
-    """Four free episodes and four from one start, apart by `spread`."""
-    return {
-        "episodes": [
-            {
-                "start": start, "return": score + sign * spread, "length": 10,
-                "discounted_return": (score + sign * spread) / 2, "terminated": fell,
-            }
-            for start in ("free", "fixed")
-            for sign in (-1, -1, 1, 1)
-        ],
-        "calibration": {
-            "ratio": 1.25, "lambda_ret": 1.0,
-            "starts": [{"predicted_std": 3.0, "empirical_std": 3.0},
-                       {"predicted_std": 5.0, "empirical_std": 4.0}],
-        },
-    }  # fmt: skip
-
-
-def report_of(folder):
-    plan = folder.read_plan()
-    assert plan is not None
-    write_report(folder, plan)
-    results = json.loads((folder.path / "results.json").read_text())
-    return results, (folder.path / "report.md").read_text()
+from tests.experiment_folders import (
+    PLAIN,
+    SAFE,
+    SESSION,
+    leave,
+    planned,
+    report_of,
+    whole_grid,
+)
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """All fifteen runs of HalfCheetah; ψ raises the mean and lowers both spreads. Its report."""
-    folder, grid = planned(tmp_path_factory.mktemp("whole"))
-    for run in grid.runs:
-        score = (PLAIN if run.psi == 0 else SAFE)[run.seed - 1]
-        spread = 100.0 if run.psi == 0 else 10.0
-        leave(folder, run, score, **evaluated(spread, score, fell=run.psi == 0))
-    return folder, *report_of(folder)
+    """See `whole_grid`."""
+    return whole_grid(tmp_path_factory.mktemp("whole"))
 
 
 def test_table_2_stands_beside_the_papers_with_a_judgement_from_intervals(whole):
@@ -112,35 +47,6 @@ def test_table_2_stands_beside_the_papers_with_a_judgement_from_intervals(whole)
     assert "The claim holds here: lower." in page
     assert "shown in 1 of 1 environments (HalfCheetah-v4) | Not decided: 1 of the 4" in page
     assert "ψ 0.3" in page  # never only the best ψ, nor only the paper's
-
-
-def test_policies_are_compared_by_nested_resampling(whole):
-    _, results, page = whole
-    arms = results["environments"]["HalfCheetah-v4"]["arms"]
-    for start in ("free", "fixed"):
-        plain, safe = (arms[arm]["evaluation"][start] for arm in ("psi0", "psi-paper"))
-        # ± 100 twice each: a sample's standard deviation is √(4 x 100² / 3)
-        assert plain["undiscounted"]["std"] == pytest.approx(115.470, abs=1e-3)
-        assert plain["discounted"]["std"] == pytest.approx(57.735, abs=1e-3)
-        assert safe["undiscounted"]["cvar10"] == pytest.approx(7020 - 10)
-        assert plain["undiscounted"]["worst"] == 900
-        assert (plain["falls"], safe["falls"]) == (1.0, 0.0)
-        found = arms["psi-paper"]["against_baseline"][start]
-        assert found["std_difference"] == pytest.approx(-103.923, abs=1e-3)
-        assert found["std_difference_interval"][1] < 0
-    assert "Within a policy: evaluation from one fixed start state" in page
-    assert "| 100.0% [100.0%, 100.0%] |" in page
-    assert "spread lower; mean higher | yes |" in page
-    assert "discounted std" in page
-
-
-def test_the_calibration_is_a_mean_over_seeds(whole):
-    _, results, page = whole
-    found = results["environments"]["HalfCheetah-v4"]["arms"]["psi0"]["calibration"]
-    assert found["ratio"]["mean"] == 1.25
-    assert found["predicted_std"]["mean"] == pytest.approx(17**0.5)  # (3² + 5²) / 2
-    assert found["empirical_std"]["mean"] == pytest.approx(12.5**0.5)
-    assert "Calibration of σ" in page
 
 
 def test_pictures_are_inside_the_web_page_and_beside_the_other(whole):
@@ -216,23 +122,6 @@ def test_environments_together_are_in_units_of_their_baselines(tmp_path):
     assert "Over all environments" in page
 
 
-def against(std, mean):
-    """A comparison with these ratios, each with a tenth to both sides."""
-    found: dict[str, Any] = {}
-    for name, ratio in (("std", std), ("mean", mean)):
-        found |= {f"{name}_ratio": ratio, f"{name}_ratio_interval": [ratio - 0.1, ratio + 0.1]}
-    return {"free": found}
-
-
-@pytest.mark.parametrize(
-    ("std", "mean", "sentence"),
-    [(0.5, 1.1, "yes"), (0.65, 1.1, "the estimate only, not the intervals"),
-     (0.5, 1.0, "the estimate only, not the intervals"), (0.8, 1.1, "no"), (0.5, 0.9, "no")],
-)  # fmt: skip
-def test_a_goal_is_reached_when_both_intervals_are_beyond_it(std, mean, sentence):
-    assert of_goal(against(std, mean), "free") == sentence
-
-
 def test_a_claim_about_all_environments_takes_all_of_them(tmp_path):
     folder, grid = planned(tmp_path, envs=ENVIRONMENTS, seeds=3)
     for run in grid.runs:
@@ -263,21 +152,6 @@ def test_returns_on_the_way_are_read_off_the_curves(tmp_path):
     assert found["1000000"]["std_across_seeds"] == pytest.approx(70.711, abs=1e-3)
     assert list(found) == ["1000000", "2000000"]
     assert "| ψ 0 | 250.0 ± 70.7 |" in page
-
-
-@pytest.mark.parametrize(
-    ("interval", "seeds", "sentence"),
-    [
-        ((0.1, 2.0), 5, "higher"),
-        ((-2.0, -0.1), 5, "lower"),
-        ((-0.1, 2.0), 5, "no difference that 5 seeds can show"),
-        ((0.0, 2.0), 3, "no difference that 3 seeds can show"),
-        ((0.1, 2.0), 1, "one seed shows nothing"),
-        (None, 5, "not judged: no interval"),
-    ],
-)
-def test_judgements_follow_the_interval(interval, seeds, sentence):
-    assert of_interval(interval, seeds) == sentence
 
 
 def test_planning_more_keeps_what_was_planned(tmp_path):

@@ -6,10 +6,21 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from dppo.experiment.statistics import (
+from dppo.experiment.significance import (
+    Ratio,
     brown_forsythe,
-    cvar10,
+    equal_spreads_of,
     has_tests,
+    mann_whitney,
+    power_of_brown_forsythe,
+    ratio,
+    share_interval,
+    spread_ratio_interval,
+    welch,
+    welch_of,
+)
+from dppo.experiment.statistics import (
+    cvar10,
     improvement,
     improvement_interval,
     interquartile_mean,
@@ -17,9 +28,8 @@ from dppo.experiment.statistics import (
     mean,
     resampled,
     resampled_nested,
-    spread,
-    welch,
 )
+from dppo.statistics import spread
 
 FIVE = np.array([3.0, 1.0, 100.0, 2.0, -50.0])
 OTHERS = np.array([10.0, 12.0, 17.0, 9.0, 30.0])
@@ -76,10 +86,73 @@ def test_brown_forsythe_is_an_analysis_of_variance_of_distances_to_the_medians()
     assert brown_forsythe(FIVE, OTHERS) == pytest.approx(stats.f_oneway(*distances).pvalue)
 
 
-@pytest.mark.parametrize("scores", [np.array([1.0]), np.array([2.0, 2.0])])
+def test_three_seeds_are_too_few_for_brown_forsythe():
+    """However far apart: the largest F there is with three is below the limit."""
+    alike, apart = np.array([1.0, 1.0, 1.0]), np.array([-1e6, 0.0, 1e6])
+    assert stats.levene(alike, apart).pvalue > 0.05
+    assert brown_forsythe(alike, apart) is None
+    assert brown_forsythe(np.append(alike, 1.0), np.append(apart, 5.0)) is not None
+
+
+@pytest.mark.parametrize("scores", [np.array([1.0]), np.array([2.0, 2.0]), np.full(3, 0.1)])
 def test_what_cannot_be_tested_is_none(scores):
     assert welch(scores, scores) is None
     assert brown_forsythe(scores, scores) is None
+
+
+def test_a_ratio_is_of_geometric_means_with_welchs_interval_of_the_logarithms():
+    found = ratio(OTHERS, OTHERS[:4] / 2)
+    assert found is not None
+    assert found.value == pytest.approx(stats.gmean(OTHERS) / stats.gmean(OTHERS[:4] / 2))
+    test = stats.ttest_ind(np.log(OTHERS), np.log(OTHERS[:4] / 2), equal_var=False)
+    assert found.interval == pytest.approx(tuple(np.exp(test.confidence_interval(0.95))))
+    assert ratio(FIVE, OTHERS) is None  # -50 has no logarithm
+
+
+def test_equal_policies_are_told_apart_in_one_of_twenty_cases():
+    """What resampled seeds do in one of eight with five seeds."""
+    rng = np.random.default_rng(6)
+    wrong = 0
+    for _ in range(2000):
+        found = ratio(*np.exp(rng.normal(0, 0.4, (2, 5))))
+        assert found is not None
+        assert found.interval is not None
+        wrong += not found.interval[0] <= 1 <= found.interval[1]
+    assert 0.03 < wrong / 2000 < 0.06
+
+
+def test_the_ratio_of_spreads_has_the_interval_of_f():
+    found = spread_ratio_interval(FIVE, OTHERS)
+    assert found is not None
+    squared = (FIVE.var(ddof=1) / OTHERS.var(ddof=1)) / stats.f.ppf([0.975, 0.025], 4, 4)
+    assert [end**2 for end in found] == pytest.approx(list(squared))
+
+
+def test_the_power_of_the_test_of_spreads_is_how_often_scipys_rejects():
+    rng = np.random.default_rng(7)
+    cases = [(0.3 * rng.normal(size=8), rng.normal(size=8)) for _ in range(400)]
+    share = np.mean([stats.levene(*case, center="median").pvalue < 0.05 for case in cases])
+    assert power_of_brown_forsythe(8, 0.3) == pytest.approx(share, abs=0.07)
+    assert power_of_brown_forsythe(3, 0.3) is None
+
+
+def test_a_share_of_none_or_all_episodes_is_not_certain():
+    # Clopper and Pearson: (1 - p)^100 = 0.025
+    assert share_interval(np.zeros(1), 100) == pytest.approx((0.0, 1 - 0.025 ** (1 / 100)))
+    assert share_interval(np.ones(5), 100) == pytest.approx((0.025 ** (1 / 500), 1.0))
+    shares = np.array([0.1, 0.3, 0.2])
+    half = stats.t.ppf(0.975, 2) * 0.1 / np.sqrt(3)
+    assert share_interval(shares, 100) == pytest.approx((max(0, 0.2 - half), 0.2 + half))
+
+
+def test_printed_means_and_spreads_can_be_tested_too():
+    of = FIVE.mean(), FIVE.std(ddof=1)
+    others = OTHERS.mean(), OTHERS.std(ddof=1)
+    test = stats.ttest_ind(FIVE, OTHERS, equal_var=False)
+    assert welch_of(of, others, 5) == pytest.approx(test.pvalue)
+    upper = stats.f.sf(of[1] ** 2 / others[1] ** 2, 4, 4)
+    assert equal_spreads_of(others[1], of[1], 5) == pytest.approx(2 * upper)
+    assert mann_whitney(FIVE, OTHERS) == pytest.approx(stats.mannwhitneyu(FIVE, OTHERS).pvalue)
 
 
 def test_without_scipy_there_are_intervals_but_no_tests(monkeypatch):
@@ -87,6 +160,8 @@ def test_without_scipy_there_are_intervals_but_no_tests(monkeypatch):
     assert not has_tests()
     assert welch(FIVE, OTHERS) is None
     assert brown_forsythe(FIVE, OTHERS) is None
+    assert share_interval(np.zeros(2), 100) is None
+    assert ratio(OTHERS, OTHERS) == Ratio(1.0, None)
     assert interval(resampled(FIVE, mean, "x")) is not None
 
 

@@ -1,0 +1,49 @@
+"""Whether σ knows how far returns spread: what `dppo eval --calibration` says, over seeds."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dppo.experiment.measure import Cell
+
+GOAL = 1.25
+"""Predicted over empirical standard deviation, or its inverse, at most."""
+_RATIOS = {"along_ratio": "along", "ratio": "start"}
+_OF_STARTS = ("predicted_std", "empirical_std", "squares_std")
+
+
+def calibration(cell: Cell) -> dict[str, Any] | None:
+    """Ratios by seed with their geometric mean, and standard deviations; None: no seed has one."""
+    found = [
+        one.evaluation["calibration"] for one in cell.finished if "calibration" in one.evaluation
+    ]
+    if not found:
+        return None
+    summary: dict[str, Any] = {"lambda_ret": found[0].get("lambda_ret"), "seeds": len(found)}
+    for name, short in _RATIOS.items():
+        ratios = [one[name] for one in found if _is_above_zero(one.get(name))]
+        if ratios:
+            summary[short] = {
+                "geometric_mean": float(np.exp(np.mean(np.log(ratios)))),
+                "by_seed": ratios,
+            }
+    for name in _OF_STARTS:
+        stds = [std for one in found if (std := _of_starts(one.get("starts"), name)) is not None]
+        if stds:
+            summary[name] = {"mean": float(np.mean(stds)), "by_seed": stds}
+    return summary
+
+
+def _of_starts(starts: object, name: str) -> float | None:
+    """Root mean square over the start states."""
+    if not isinstance(starts, Sequence) or not starts:
+        return None
+    stds = [one.get(name) for one in starts if isinstance(one, Mapping)]
+    if not all(isinstance(std, int | float) for std in stds):
+        return None
+    return float(np.sqrt(np.mean(np.square(np.array(stds, np.float64)))))
+
+
+def _is_above_zero(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and value > 0

@@ -1,0 +1,232 @@
+"""The paper's claims, what came out here, and one sentence of judgement on each."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from dppo.experiment.numbers import ends
+from dppo.experiment.paper import TABLE_2, Reported, reported
+from dppo.experiment.significance import equal_spreads_of, welch_of
+from dppo.experiment.verdicts import Summary, of_interval, of_mean, of_spread
+
+PSI_TOLERANCE = 1e-9
+Claim = tuple[str, str, str]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """One row of Table 2, the paper's and ours."""
+
+    env: str
+    paper: Reported
+    plain: Summary
+    safe: Summary
+
+    @property
+    def comparison(self) -> Summary:
+        """The safe arm against the plain one."""
+        found: Summary = self.safe["against_baseline"]
+        return found
+
+
+def rows(results: Mapping[str, Any]) -> Iterator[Row]:
+    """Environments of which ψ = 0, the baseline, and the paper's ψ have finished runs.
+
+    The arm with the paper's ψ has the baseline's other settings.
+    """
+    for env, one in results["environments"].items():
+        paper, arms = reported(env), one["arms"]
+        plain = arms.get(results["baseline"])
+        if paper is None or plain is None or plain["psi"] != 0:
+            continue
+        for arm in arms.values():
+            if (
+                abs(arm["psi"] - paper.psi) < PSI_TOLERANCE
+                and _without_psi(arm) == _without_psi(plain)
+                and arm.get("against_baseline")
+            ):
+                yield Row(env=env, paper=paper, plain=plain, safe=arm)
+                break
+
+
+def _without_psi(arm: Summary) -> dict[str, Any]:
+    return {name: value for name, value in arm["settings"].items() if name != "psi"}
+
+
+def claims(results: Mapping[str, Any]) -> Iterator[Claim]:
+    """All of them that the finished runs say something about."""
+    found = list(rows(results))
+    for row in found:
+        yield _of_mean(row)
+        yield _of_spread(row)
+        yield from _of_consistency(row)
+        yield from _of_life(row)
+        yield from _of_speed(row)
+    if found:
+        yield _in_all(found)
+        yield _outperforms(found)
+        yield _reduces(found)
+
+
+def _of_mean(row: Row) -> Claim:
+    paper, verdict = row.paper, of_mean(row.comparison)
+    rises = "higher" if paper.mean_rises else "lower"
+    p, change = welch_of(paper.safe, paper.plain, paper.seeds), paper.safe[0] - paper.plain[0]
+    return (
+        f"{row.env}, figure {paper.figure}: {paper.claim_mean}. Mean {paper.safe[0]:g} against "
+        f"{paper.plain[0]:g}: {rises}" + _from_its_numbers("Welch's test", p),
+        f"mean {_mean(row.safe)} against {_mean(row.plain)}, difference {_difference(row)}"
+        + _holds_theirs(_interval(row), change),
+        _judged(verdict, rises),
+    )
+
+
+def _of_spread(row: Row) -> Claim:
+    paper, verdict, found = row.paper, of_spread(row.comparison), row.comparison["last200"]
+    p = found["brown_forsythe_p"]
+    theirs = equal_spreads_of(paper.safe[1], paper.plain[1], paper.seeds)
+    return (
+        f"{row.env}: spread across seeds {paper.safe[1]:g} against {paper.plain[1]:g}: lower"
+        + _from_its_numbers("F test", theirs),
+        f"spread {_std(row.safe)} against {_std(row.plain)}"
+        + _times(found.get("std_ratio"), found.get("std_ratio_interval"))
+        + ("" if p is None else f"; Brown-Forsythe p = {p:.2g}"),
+        _judged(verdict, "lower"),
+    )
+
+
+def _of_consistency(row: Row) -> Iterator[Claim]:
+    """Of one policy's episodes; the paper measures nothing of that."""
+    found = row.comparison.get("free", {})
+    if "undiscounted" not in found:
+        return
+    one, seeds = found["undiscounted"], min(found["seeds"])
+    stds = [arm["evaluation"]["free"]["undiscounted"]["std"] for arm in (row.safe, row.plain)]
+    yield (
+        f"{row.env}: the agent takes steps inducing consistent behaviour",
+        f"returns of one policy's episodes spread by {stds[0]:.1f} against {stds[1]:.1f}"
+        + _times(one.get("std_ratio"), one.get("std_ratio_interval")),
+        _judged(of_interval(one.get("std_ratio_interval"), seeds, zero=1.0), "lower"),
+    )
+
+
+def _of_life(row: Row) -> Iterator[Claim]:
+    found = row.comparison.get("free", {})
+    policies = [arm["evaluation"].get("free", {}) for arm in (row.safe, row.plain)]
+    if "length" not in found or not any(one.get("falls") for one in policies):
+        return  # nobody falls here
+    lengths = [one["length_mean"] for one in policies]
+    falls = [one["falls"] for one in policies]
+    yield (
+        f"{row.env}: risk-averse agents have a longer life-span",
+        f"episodes of {lengths[0]:.0f} steps against {lengths[1]:.0f}, difference "
+        f"{found['length']['difference']:+.0f}{ends(found['length']['interval'], 0)}; falls "
+        f"{falls[0]:.0%} against {falls[1]:.0%}",
+        _judged(of_interval(found["length"]["interval"], min(found["seeds"])), "higher"),
+    )
+
+
+def _of_speed(row: Row) -> Iterator[Claim]:
+    found = row.comparison["on_the_way"]
+    if not found:
+        return
+    steps = min(found, key=int)
+    at = [arm["on_the_way"][steps]["mean"] for arm in (row.safe, row.plain)]
+    seeds = min(row.comparison["last200"]["seeds"])
+    yield (
+        f"{row.env}: learning is faster, through that longevity",
+        f"after {int(steps) / 1e6:g} million steps {at[0]:.1f} against {at[1]:.1f}, difference "
+        f"{found[steps]['difference']:+.1f}{ends(found[steps]['interval'])}",
+        _judged(of_interval(found[steps]["interval"], seeds), "higher"),
+    )
+
+
+def _in_all(found: list[Row]) -> Claim:
+    shown = [
+        row.env
+        for row in found
+        if of_mean(row.comparison) == "higher" or of_spread(row.comparison) == "lower"
+    ]
+    return (
+        "Safety boosts performance in all 4 environments, in mean or in spread",
+        f"shown in {len(shown)} of {len(found)} environments{_named(shown)}",
+        _in_all_four(found, len(shown)),
+    )
+
+
+def _outperforms(found: list[Row]) -> Claim:
+    higher = [row.env for row in found if of_mean(row.comparison) == "higher"]
+    lower = [row.env for row in found if of_mean(row.comparison) == "lower"]
+    verdict = "Does not hold here." if lower else _in_all_four(found, len(higher))
+    return (
+        "It outperforms DPPO in all the environments (key contributions); its own Table 2 has a "
+        "lower mean on Walker2d",
+        f"mean higher in {len(higher)} of {len(found)}{_named(higher)}, lower in "
+        f"{len(lower)}{_named(lower)}",
+        verdict,
+    )
+
+
+def _reduces(found: list[Row]) -> Claim:
+    lower = [row.env for row in found if of_spread(row.comparison) == "lower"]
+    higher = [row.env for row in found if of_spread(row.comparison) == "higher"]
+    return (
+        "A significant reduction in the standard deviation of the scores in all the environments "
+        "(abstract); from its own numbers it is significant in none",
+        f"spread across seeds lower in {len(lower)} of {len(found)}{_named(lower)}, higher in "
+        f"{len(higher)}{_named(higher)}",
+        "Does not hold here." if higher else _in_all_four(found, len(lower)),
+    )
+
+
+def _in_all_four(found: list[Row], shown: int) -> str:
+    """Whether what is claimed of all environments is shown in all of them."""
+    there = len({row.paper.env for row in found})
+    if there < len(TABLE_2):
+        return f"Not decided: {there} of the {len(TABLE_2)} environments were run."
+    return "Holds here." if shown == len(found) else "Not shown here in all of them."
+
+
+def _judged(verdict: str, claimed: str) -> str:
+    if verdict == claimed:
+        return f"The claim holds here: {verdict}."
+    if verdict in ("higher", "lower"):
+        return f"The claim does not hold here: {verdict}."
+    return f"Not decided: {verdict}."
+
+
+def _named(envs: list[str]) -> str:
+    return f" ({', '.join(envs)})" if envs else ""
+
+
+def _mean(arm: Summary) -> str:
+    return f"{arm['training']['last200']['mean']:.1f}"
+
+
+def _std(arm: Summary) -> str:
+    std = arm["training"]["last200"]["std_across_seeds"]
+    return "of one seed" if std is None else f"{std:.1f}"
+
+
+def _interval(row: Row) -> Any:  # noqa: ANN401  JSON
+    found = row.comparison["last200"]
+    return found["welch_interval"] or found.get("difference_interval")
+
+
+def _difference(row: Row) -> str:
+    return f"{row.comparison['last200']['difference']:+.1f}{ends(_interval(row))}"
+
+
+def _holds_theirs(interval: Any, change: float) -> str:  # noqa: ANN401  JSON
+    if interval is None:
+        return ""
+    inside = interval[0] <= change <= interval[1]
+    return f"; the paper's {change:+.1f} lies {'within' if inside else 'outside'}"
+
+
+def _from_its_numbers(test: str, p: float | None) -> str:
+    return "" if p is None else f" ({test} from these numbers: p = {p:.2g})"
+
+
+def _times(value: float | None, interval: Any) -> str:  # noqa: ANN401  JSON
+    return "" if value is None else f", {value:.2f} times{ends(interval, 2)}"

@@ -1,0 +1,82 @@
+"""The report's explanations of its tables."""
+
+from dppo.experiment.compare import LAST
+from dppo.experiment.results import Results
+from dppo.experiment.significance import power_of_brown_forsythe
+from dppo.experiment.tables import arms_of
+
+POLICIES = (
+    "Of the final policy of each seed, not the best, with sampled actions as in training; the "
+    "same start states for all arms and seeds. *Std*: standard deviation over the episodes of one "
+    "policy, mean over seeds; brackets there: 95 %, episodes resampled within resampled seeds, "
+    "too narrow with few seeds. *Falls*: share of episodes that terminated; Student's interval "
+    "over seeds, or the exact one of all episodes where all seeds agree. Against the baseline one "
+    "number a seed is compared, with Welch's 95 % interval: ratios are of geometric means over "
+    "seeds, by logarithms. *30 % less spread for 5 % of the mean*: *yes* if the interval of the "
+    "ratio of spreads is below 0.7 and that of the means above 0.95, *no* if one of them excludes "
+    "that, else *open*. Where episodes end in falls, the undiscounted spread is mostly that of "
+    "their lengths; the discounted one shows the next hundred steps or so."
+)
+SIGMA = (
+    "σ predicts the variance of the λ-return; its root is set beside the standard deviation of "
+    "what was played. *Along the way*: over all states of the evaluation episodes from the fixed "
+    "start, against returns minus V. *At the start*: in that one state, over its episodes; where "
+    "nearly nothing is random yet, σ's error there is large against so small a spread. *From its "
+    "TD errors*: the root of the mean discounted sum of squared TD errors, which is what σ is "
+    "trained on; it differs from the empirical one as far as V is wrong. Ratios: geometric means "
+    "over seeds."
+)
+
+
+def training(results: Results) -> str:
+    """What the columns of the table of training returns are."""
+    last = " and ".join(str(count) for count in LAST)
+    tests = (
+        ""
+        if results["intervals"]["tests"]
+        else " SciPy is not installed, so all tests and Welch's interval are missing."
+    )
+    compared = sum("against_baseline" in arm for _, _, arm in arms_of(results))
+    return (
+        f"Mean return of the last {last} training episodes of each seed; ± is the standard "
+        "deviation across seeds (n - 1). *IQM*: interquartile mean over seeds. Brackets: 95 % "
+        "intervals; of the IQM and of the probability of improvement by resampling seeds within "
+        "each arm, too narrow with few seeds; of the difference by Welch; of the ratio of spreads "
+        "by F, which takes scores to be normal. *P(better)*: that a seed of this arm beats one of "
+        "the baseline. *p, ranks*: Mann and Whitney's test of that. *p, spread*: Brown-Forsythe, "
+        f"of equal spreads across seeds.{_power(results)} Judged at 5 %, each on its own: with "
+        f"{compared} comparisons of equal arms {0.05 * compared:.1g} would look different in each "
+        f"column.{_short_runs(results)}{tests}"
+    )
+
+
+def _power(results: Results) -> str:
+    """How little the test of spreads can find with so few seeds."""
+    counts = [len(arm["seeds"]) for _, _, arm in arms_of(results) if arm["seeds"]]
+    seeds = min(counts, default=0)
+    powers = [power_of_brown_forsythe(seeds, times) for times in (0.5, 0.25)]
+    if None in powers:
+        return ""
+    half, quarter = powers
+    return (
+        f" It finds little with few seeds: with {seeds} an arm, a spread half as large in "
+        f"{half:.0%} of all cases, a quarter as large in {quarter:.0%} (normal scores, simulated)."
+    )
+
+
+def _short_runs(results: Results) -> str:
+    trained = [arm["training"] for _, _, arm in arms_of(results) if arm["training"]]
+    fewest = min((one["last200"]["fewest_episodes"] for one in trained), default=200)
+    return f" Some runs have only {fewest} training episodes in all." if fewest < 200 else ""
+
+
+def claims(results: Results) -> str:
+    """How these runs differ from the paper's."""
+    other = results["unlike_the_paper"]
+    return (
+        "Not the paper's experiment again, but its question: other versions of the environments, "
+        "of MuJoCo and of the trainer. Settings that are not those of `--preset paper` on "
+        f"{other['env']}: {', '.join(other['settings']) or 'none'}. The paper does not say how "
+        "its ± was taken; the mean of each seed's last 200 episodes, and the standard deviation "
+        "of those means, is what its words say. Each claim is judged on its own, at 5 %."
+    )

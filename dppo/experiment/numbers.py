@@ -1,0 +1,34 @@
+"""Numbers of results.json as the report prints them."""
+
+from collections.abc import Mapping
+from typing import Any
+
+NOTHING = "–"
+
+
+def pair(mean: float, std: float | None) -> str:
+    """Mean ± standard deviation; None: of one seed."""
+    return f"{mean:.1f}" if std is None else f"{mean:.1f} ± {std:.1f}"
+
+
+def ends(interval: Any, digits: int = 1) -> str:  # noqa: ANN401  JSON
+    """An interval in brackets, behind a blank; empty: there is none."""
+    if interval is None:
+        return ""
+    return f" [{interval[0]:.{digits}f}, {interval[1]:.{digits}f}]"
+
+
+def with_ends(one: Mapping[str, Any], name: str) -> str:
+    """A figure with its interval."""
+    return f"{one[name]:.1f}{ends(one[f'{name}_interval'])}"
+
+
+def times(against: Mapping[str, Any], name: str) -> str:
+    """A ratio with its interval."""
+    value = against.get(f"{name}_ratio")
+    return NOTHING if value is None else f"{value:.2f}{ends(against[f'{name}_ratio_interval'], 2)}"
+
+
+def p_value(value: float | None) -> str:
+    """Two digits."""
+    return NOTHING if value is None else f"{value:.2g}"

@@ -1,0 +1,86 @@
+"""What a report says of final policies: their returns, and σ."""
+
+import json
+
+import numpy as np
+import pytest
+
+from dppo.experiment.significance import ratio
+from tests.experiment_folders import PLAIN, SAFE, evaluated, leave, planned, report_of, whole_grid
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """See `whole_grid`."""
+    return whole_grid(tmp_path_factory.mktemp("whole"))
+
+
+@pytest.mark.parametrize("start", ["free", "fixed"])
+def test_policies_are_compared_by_one_number_a_seed(whole, start):
+    _, results, page = whole
+    arms = results["environments"]["HalfCheetah-v4"]["arms"]
+    plain, safe = (arms[arm]["evaluation"][start] for arm in ("psi0", "psi-paper"))
+    # ± s twice each, s = 101 .. 105: a sample's standard deviation is √(4 s² / 3)
+    assert plain["undiscounted"]["std"] == pytest.approx(103 * (4 / 3) ** 0.5)
+    assert plain["discounted"]["std"] == pytest.approx(103 * (4 / 3) ** 0.5 / 2)
+    assert safe["undiscounted"]["cvar10"] == pytest.approx(7020 - 13)
+    assert plain["undiscounted"]["worst"] == 1000 - 101
+    assert (plain["falls"], safe["falls"]) == (1.0, 0.0)
+    found = arms["psi-paper"]["against_baseline"][start]
+    for kind in ("undiscounted", "discounted"):
+        expected = ratio(*(np.array(one[kind]["std_by_seed"]) for one in (safe, plain)))
+        assert expected is not None
+        assert found[kind]["std_ratio"] == pytest.approx(expected.value)
+        assert found[kind]["std_ratio_interval"] == pytest.approx(expected.interval)
+    gain = sum(SAFE) / 5 - sum(PLAIN) / 5
+    assert found["undiscounted"]["mean"]["difference"] == pytest.approx(gain)
+    assert found["terminated"]["difference"] == -1
+    assert f"from {'free start states' if start == 'free' else 'one fixed start state'}" in page
+    assert "| 100.0% [83.2%, 100.0%] |" in page  # 20 of 20: Clopper and Pearson
+    assert "spread lower; mean higher | yes |" in page
+    assert "Within a policy: discounted returns from" in page
+
+
+def test_the_calibration_is_a_geometric_mean_over_seeds(whole):
+    _, results, page = whole
+    found = results["environments"]["HalfCheetah-v4"]["arms"]["psi0"]["calibration"]
+    product = 1.0
+    for score in PLAIN:
+        product *= score / 4000
+    assert found["start"]["geometric_mean"] == pytest.approx(product ** (1 / 5))
+    assert found["predicted_std"]["mean"] == pytest.approx(17**0.5)  # (3² + 5²) / 2
+    assert found["empirical_std"]["mean"] == pytest.approx(12.5**0.5)
+    assert "along the way in 3 of 3 arms; at the start in 0 of 3 arms" in page
+    assert "| 1.25 (seeds: 1.25 to 1.25) | 0.65 (seeds: 0.25 to 1.40) |" in page
+
+
+def test_an_evaluation_of_fewer_episodes_is_made_again(tmp_path):
+    folder, grid = planned(tmp_path, evaluate=4)
+    run = grid.runs[0]
+    leave(folder, run, 1000.0, **evaluated(10.0, 1000.0))
+    assert folder.is_evaluated(run, 4)
+    assert not folder.is_evaluated(run, 5)
+    assert folder.is_evaluated(run, 0)
+
+
+def test_runs_with_other_settings_than_the_printed_command_are_named(tmp_path):
+    folder, grid = planned(tmp_path, seeds=2)
+    for run in grid.runs:
+        leave(folder, run, 1000.0)
+    file = folder.run(grid.runs[0]) / "config.json"
+    facts = json.loads(file.read_text())
+    facts["config"]["rollout"]["num_envs"] = 77
+    file.write_text(json.dumps(facts))
+    results, page = report_of(folder)
+    assert results["run_otherwise"] == {grid.runs[0].name: ["--num-envs was 77"]}
+    assert "These commands do not give these runs again" in page
+
+
+def test_a_run_without_any_episode_is_named(tmp_path):
+    folder, grid = planned(tmp_path, seeds=1)
+    for run in grid.runs:
+        leave(folder, run, 1000.0)
+    (folder.run(grid.runs[0]) / "episodes.jsonl").write_text("")
+    results, page = report_of(folder)
+    assert results["runs"]["without_episodes"] == [grid.runs[0].name]
+    assert f"Left out, since no training episode has finished: {grid.runs[0].name}." in page

@@ -1,0 +1,103 @@
+"""Judgements of an experiment's report: from intervals and tests alone."""
+
+from typing import Any
+
+import pytest
+
+from dppo.experiment.claims import rows
+from dppo.experiment.verdicts import of_goal, of_interval, of_policies, of_spread
+from tests.experiment_folders import evaluated, leave, planned, report_of
+
+
+@pytest.mark.parametrize(
+    ("interval", "seeds", "sentence"),
+    [
+        ((0.1, 2.0), 5, "higher"),
+        ((-2.0, -0.1), 5, "lower"),
+        ((-0.1, 2.0), 5, "no difference that 5 seeds can show"),
+        ((0.0, 2.0), 3, "no difference that 3 seeds can show"),
+        ((0.1, 2.0), 1, "one seed shows nothing"),
+        (None, 5, "not judged: no interval"),
+    ],
+)
+def test_judgements_follow_the_interval(interval, seeds, sentence):
+    assert of_interval(interval, seeds) == sentence
+
+
+def against(std, mean, seeds=5):
+    """A comparison with these ratios, each with a tenth to both sides."""
+    found: dict[str, Any] = {}
+    for name, ratio in (("std", std), ("mean", mean)):
+        found |= {f"{name}_ratio": ratio, f"{name}_ratio_interval": [ratio - 0.1, ratio + 0.1]}
+    found["mean"] = {"interval": [-1.0, 1.0]}
+    return {"free": {"seeds": [seeds, 5], "undiscounted": found}}
+
+
+@pytest.mark.parametrize(
+    ("std", "mean", "sentence"),
+    [
+        (0.5, 1.1, "yes"),
+        (0.65, 1.1, "open; the estimate reaches it"),
+        (0.5, 1.0, "open; the estimate reaches it"),
+        (0.75, 1.1, "open; the estimate misses it"),
+        (0.5, 0.9, "open; the estimate misses it"),
+        (0.85, 1.1, "no"),
+        (0.5, 0.8, "no"),
+    ],
+)
+def test_a_goal_is_reached_or_missed_when_intervals_say_so_and_else_open(std, mean, sentence):
+    assert of_goal(against(std, mean), "free", "undiscounted") == sentence
+
+
+def test_one_seed_decides_nothing_about_policies():
+    one = against(0.1, 2.0, seeds=1)
+    assert of_goal(one, "free", "undiscounted") == "one seed shows nothing"
+    sentence = "spread one seed shows nothing; mean one seed shows nothing"
+    assert of_policies(one, "free", "undiscounted") == sentence
+
+
+@pytest.mark.parametrize(
+    ("stds", "p", "sentence"),
+    [
+        ([100.0, 400.0], 0.01, "lower"),
+        ([400.0, 100.0], 0.01, "higher"),
+        ([400.0, 0.0], 0.03, "higher"),  # a baseline without any spread has no ratio
+        ([100.0, 400.0], 0.06, "no difference that 5 seeds can show"),
+        ([100.0, 400.0], None, "not judged: fewer than 4 seeds, or SciPy is missing"),
+    ],
+)
+def test_a_spread_is_lower_or_higher_as_the_standard_deviations_are(stds, p, sentence):
+    found = {"seeds": [5, 5], "brown_forsythe_p": p, "stds": stds}
+    assert of_spread({"last200": found}) == sentence
+
+
+def test_the_papers_row_is_of_the_arm_that_differs_in_psi_alone():
+    arm: dict[str, Any] = {"psi": 0.075, "against_baseline": {"last200": {}}}
+    arms = {
+        "plain": {"psi": 0.0, "settings": {"psi": 0.0}},
+        "joint": arm | {"settings": {"psi": 0.075, "adv_norm": "joint"}},
+        "safe": arm | {"settings": {"psi": 0.075}, "label": "safe"},
+    }
+    results = {"baseline": "plain", "environments": {"Hopper-v4": {"arms": arms}}}
+    (row,) = rows(results)
+    assert row.safe["label"] == "safe"
+
+
+def test_every_claim_has_a_row_with_the_papers_own_significance(tmp_path):
+    folder, grid = planned(tmp_path, envs=("Ant-v4",), steps=2_000_000)
+    for run in grid.runs:
+        fell = run.psi == 0 and run.seed % 2 == 1
+        leave(folder, run, 100.0 * run.seed, **evaluated(10.0 + run.seed, 1000.0, fell=fell))
+    _, page = report_of(folder)
+    table = page.split("## The paper's claims")[1].split("##")[0]
+    for words in (
+        "Mean 2342.1 against 808.7: higher (Welch's test from these numbers: p = 0.0013)",
+        "difference +0.0 [-230.6, 230.6]; the paper's +1533.4 lies outside",
+        "lower (F test from these numbers: p = 0.42)",
+        "steps inducing consistent behaviour | returns of one policy's episodes spread by",
+        "longer life-span | episodes of 10 steps against 10, difference +0; falls 0% against 60%",
+        "learning is faster",
+        "significant in none | spread across seeds lower in 0 of 1",
+    ):
+        assert words in table, words
+    assert "gamma 0.99 (paper 0.995)" in page
