@@ -150,7 +150,8 @@ def _experiment(grid: Grid, args: GridArgs, name: str) -> int:
     )
     if not has_tests():
         print(
-            "the report will lack its tests and most intervals: SciPy is missing; pip install '.[experiment]'"
+            "the report will lack its tests and most intervals: SciPy is missing; pip install "
+            "'.[experiment]'"
         )
     with Console() as console:
         work = Work(folder, grid, jobs, console)

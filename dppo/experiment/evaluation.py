@@ -1,6 +1,6 @@
 """evaluation.json: what `dppo eval --json` says of a finished run, in one form.
 
-    {"settings": {...},                what was asked for
+    {"settings": {...},                checkpoint and seed, among others; may be missing
      "episodes": [{"start": "free", "return": 1.0, "length": 10,
                    "discounted_return": 0.9, "terminated": true}, ...],
      "calibration": {...}}             as `dppo eval` has it; may be missing
@@ -15,6 +15,7 @@ from typing import Any
 from dppo.config import Config
 
 _ALWAYS = {"return": float, "length": int}
+_SETTINGS = ("env", "checkpoint", "env_steps", "actions", "gamma", "seed")
 _PERHAPS = ("discounted_return", "terminated")
 
 
@@ -47,7 +48,9 @@ def normalised(values: Any) -> dict[str, Any]:  # noqa: ANN401  any JSON
         ]
     if not episodes:
         raise ValueError(f"found {', '.join(values) or 'nothing'}, expected episodes")
-    found: dict[str, Any] = {"episodes": [_episode(one) for one in episodes]}
+    settings = {name: values[name] for name in _SETTINGS if name in values}
+    found: dict[str, Any] = {"settings": settings} if settings else {}
+    found["episodes"] = [_episode(one) for one in episodes]
     if isinstance(values.get("calibration"), dict):
         found["calibration"] = values["calibration"]
     return found
