@@ -39,7 +39,7 @@ WORKER: tuple[Place, ...] = (
     ("workers.worker:block_gradient", "gradients"),
     ("workers.worker:sum_rows", "gradients"),
     ("workers.worker:Worker._update", "gradients"),
-    ("workers.worker:slot_kl", "final KL"),
+    ("workers.worker:slot_kls", "final KL"),
 )
 LEARNER: tuple[Place, ...] = (
     ("learner.exchange:Exchange.gather", "rounds"),

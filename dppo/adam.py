@@ -45,12 +45,19 @@ def adam(
         The new state, and [P] what to add to the parameters.
     """
     updates = state.updates + 1
-    mean = np.float32(beta1) * state.mean + np.float32(1 - beta1) * gradient
-    square = np.float32(beta2) * state.square + np.float32(1 - beta2) * (gradient * gradient)
-    unbiased = mean / np.float32(1 - beta1**updates)
-    scale = np.sqrt(square / np.float32(1 - beta2**updates)) + np.float32(eps)
-    change = -np.asarray(rate, np.float32) * (unbiased / scale)
-    return AdamState(mean, square, updates), change.astype(np.float32, copy=False)
+    mean = np.float32(beta1) * state.mean
+    mean += np.float32(1 - beta1) * gradient
+    square = np.float32(beta2) * state.square
+    scale = gradient * gradient
+    scale *= np.float32(1 - beta2)
+    square += scale
+    np.divide(square, np.float32(1 - beta2**updates), out=scale)
+    np.sqrt(scale, out=scale)
+    scale += np.float32(eps)
+    change = mean / np.float32(1 - beta1**updates)  # unbiased
+    change /= scale
+    change *= -np.asarray(rate, np.float32)
+    return AdamState(mean, square, updates), change
 
 
 def clipped(gradient: Float32, max_norm: float) -> tuple[Float32, float]:

@@ -158,16 +158,20 @@ def skips(sums: FloatArray) -> NDArray[np.bool_]:
     return sums[:, _COLUMN["kl_weight"]] > sums[:, _COLUMN["policy_weight"]]
 
 
-def slot_kl(
-    networks: Networks, distribution: Distribution, parameters: Float32, experience: Experience
-) -> Sums:
-    """KL[π_old‖π] over all of a slot's samples: what β is adapted by."""
+def slot_kls(
+    networks: Networks,
+    distribution: Distribution,
+    parameters: Float32,
+    experiences: Sequence[Experience],
+) -> list[Sums]:
+    """KL[π_old‖π] over all samples of each slot: what β is adapted by."""
     policy, log_std = networks.split_policy(parameters)
-    table, columns = experience.policy, experience.columns
+    columns, old_log_std = experiences[0].columns, experiences[0].log_std_old
+    table = np.stack([experience.policy for experience in experiences])
     output, _ = networks.policy.forward(policy, columns.obs(table))
-    old = columns.output_old(table)
-    kl = distribution.kl(old, experience.log_std_old, output, log_std)
-    return Sums(kl=float(kl.astype(np.float64).sum()), kl_weight=float(len(kl)))
+    kl = distribution.kl(columns.output_old(table), old_log_std, output, log_std)
+    sums = kl.astype(np.float64).sum(axis=1)
+    return [Sums(kl=float(total), kl_weight=float(kl.shape[1])) for total in sums]
 
 
 def _gather(tables: Sequence[Float32], rows: Sequence[Rows]) -> Float32:

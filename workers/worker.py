@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from dppo.config import Config
 from dppo.distributions import distribution_of
 from dppo.experience import Experience
-from dppo.gradients import Minibatch, block_gradient, skips, slot_kl
+from dppo.gradients import Minibatch, block_gradient, skips, slot_kls
 from dppo.losses import AdvantageStatistics, combine
 from dppo.moments import Moments
 from dppo.networks import Networks
@@ -104,6 +104,7 @@ class Worker:
             task.psi,
             self._config,
         )
+        answers = []
         for index, (_, facts), (experience, kept, critics) in zip(
             task.slots, collected, prepared, strict=True
         ):
@@ -113,7 +114,7 @@ class Worker:
             self._complete.discard(index)
             snapshot = slots.snapshot(index)
             self._boundary[index] = slots.iteration, snapshot
-            self._link.send(
+            answers.append(
                 Collected(
                     worker=self._name,
                     generation=task.generation,
@@ -131,6 +132,7 @@ class Worker:
                     snapshot=snapshot,
                 )
             )
+        self._link.send(*answers)
 
     def _update(self, task: Update) -> None:
         """The gradient of this update's minibatch, summed over each aligned block of slots."""
@@ -186,20 +188,22 @@ class Worker:
 
     def _measure(self, task: Measure) -> None:
         """KL[π_old|π] over all of a slot's samples, after the last update."""
-        for index in task.slots:
-            experience, _ = self._experience(index, task.iteration)
-            facts = slot_kl(self._networks, self._distribution, task.parameters, experience)
-            self._link.send(
+        experiences = [self._experience(index, task.iteration)[0] for index in task.slots]
+        facts = slot_kls(self._networks, self._distribution, task.parameters, experiences)
+        self._link.send(
+            *(
                 Measured(
                     worker=self._name,
                     generation=task.generation,
                     iteration=task.iteration,
                     round=task.round,
                     slot=index,
-                    kl=facts.kl,
-                    weight=facts.kl_weight,
+                    kl=one.kl,
+                    weight=one.kl_weight,
                 )
+                for index, one in zip(task.slots, facts, strict=True)
             )
+        )
 
     def _at_start(self, task: Collect) -> Slots:
         """The slots of a task side by side, ready to collect its iteration."""

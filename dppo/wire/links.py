@@ -59,8 +59,11 @@ class WorkerLink(Protocol):
         """The next event, or None after `timeout` seconds."""
         ...
 
-    def send(self, message: ToLearner) -> None:
-        """Hand over a message, from any thread; it is lost if the learner is."""
+    def send(self, *messages: ToLearner) -> None:
+        """Hand over messages, from any thread; they are lost if the learner is.
+
+        What is ready together is better sent together: the learner is woken once.
+        """
         ...
 
     def close(self) -> None:

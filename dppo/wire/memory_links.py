@@ -77,9 +77,10 @@ class MemoryWorkerLink:
         event: ToWorker | LearnerLost | Refused | None = next_event(self._inbox, timeout)
         return event
 
-    def send(self, message: ToLearner) -> None:
+    def send(self, *messages: ToLearner) -> None:
         """See `WorkerLink`."""
-        self._hub.to_learner(message)
+        for message in messages:
+            self._hub.to_learner(message)
 
     def close(self) -> None:
         """See `WorkerLink`."""

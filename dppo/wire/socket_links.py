@@ -249,12 +249,12 @@ class SocketWorkerLink:
         message: ToWorker | Refused = decoded(self._frames.popleft())
         return message
 
-    def send(self, message: ToLearner) -> None:
+    def send(self, *messages: ToLearner) -> None:
         """See `WorkerLink`."""
         with self._sending, contextlib.suppress(ConnectionError):
-            unsent = self._channel.pieces(message)
+            unsent = [piece for message in messages for piece in self._channel.pieces(message)]
             while unsent:
-                unsent = without(unsent, self._end.sendmsg(unsent))
+                unsent = without(unsent, self._end.sendmsg(unsent[:_MOST_PIECES]))
 
     def close(self) -> None:
         """See `WorkerLink`."""

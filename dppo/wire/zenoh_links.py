@@ -279,11 +279,12 @@ class ZenohWorkerLink(_End):
             self._heard = time.monotonic()
         return item
 
-    def send(self, message: ToLearner) -> None:
+    def send(self, *messages: ToLearner) -> None:
         """See `WorkerLink`."""
-        if isinstance(message, Hello) and time.monotonic() - self._heard > _DEAF_SECONDS:
-            self._renew()
-        self._put(self._key, message)
+        for message in messages:
+            if isinstance(message, Hello) and time.monotonic() - self._heard > _DEAF_SECONDS:
+                self._renew()
+            self._put(self._key, message)
 
     def _renew(self) -> None:
         """Another session, if there is somebody to open it with."""

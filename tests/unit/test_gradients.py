@@ -16,7 +16,7 @@ from dppo.config import (
 )
 from dppo.distributions import distribution_of
 from dppo.experience import Experience, critics_table
-from dppo.gradients import Minibatch, Sums, block_gradient, slot_kl
+from dppo.gradients import Minibatch, Sums, block_gradient, slot_kls
 from dppo.networks import Networks
 from dppo.spaces import Spaces
 
@@ -261,12 +261,20 @@ def test_under_kl_scope_chief_no_slot_stops_by_itself():
     assert Sums.from_vector(sums[0]).policy_weight == 7
 
 
-def test_slot_kl_sums_over_all_samples_of_a_slot():
+def test_the_kl_of_a_slot_has_the_same_bits_alone_and_beside_others():
+    block = Block(BOX, _config(), slots=3)
+    arguments = block.networks, block.distribution, block.new
+    together = slot_kls(*arguments, block.experiences)
+    assert together == [slot_kls(*arguments, [one])[0] for one in block.experiences]
+    assert len({one.kl for one in together}) == 3
+
+
+def test_slot_kls_sum_over_all_samples_of_a_slot():
     block = Block(BOX, _config(), slots=1)
     everything = np.arange(SAMPLES)
     _, sums = block.gradient([0], [Minibatch(policy=everything, critics=None)])
-    found = slot_kl(block.networks, block.distribution, block.new, block.experiences[0])
+    found = slot_kls(block.networks, block.distribution, block.new, block.experiences)[0]
     assert found.kl_weight == SAMPLES
     assert found.kl == pytest.approx(Sums.from_vector(sums[0]).kl, rel=1e-6)
-    unmoved = slot_kl(block.networks, block.distribution, block.old, block.experiences[0])
+    unmoved = slot_kls(block.networks, block.distribution, block.old, block.experiences)[0]
     assert unmoved.kl == 0.0
