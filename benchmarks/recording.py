@@ -1,5 +1,6 @@
 """Recorded actions and the states they lead through, so that all cases step the same physics."""
 
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +12,10 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
+from dppo.config import Config
+
 ActionKind = Literal["mild", "random", "policy"]
-"""Normal noise of .3 of the border; uniform; what an untrained policy of dppo does, std e^-0.5."""
+"""Normal noise of .3 of the border; uniform; what an untrained policy of dppo does."""
 Float64 = NDArray[np.float64]
 
 
@@ -98,7 +101,8 @@ def _actions(
     shape = (num_envs, *space.shape)
     if kind == "random":
         return rng.uniform(space.low, space.high, shape).astype(np.float32)
-    spread = 0.3 * space.high if kind == "mild" else np.exp(-0.5)
+    untrained = math.exp(Config().network.log_std_init)
+    spread = 0.3 * space.high if kind == "mild" else untrained
     action = np.clip(spread * rng.standard_normal(shape), space.low, space.high)
     return action.astype(np.float32)
 

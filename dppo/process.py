@@ -4,9 +4,11 @@ import contextlib
 import ctypes.util
 import importlib.util
 import logging
+import math
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
@@ -24,6 +26,10 @@ NumPy hands the interpreter back within microseconds when it steps a small envir
 time the thread that waits starts to wait anew: with Python's 5 ms it never ran, no sign of life
 was sent and no end of a parent was seen. It costs nothing while no other thread has work.
 """
+
+
+_TIDY_SECONDS = 10.0
+"""A command that has been told to end has so long before a further signal ends it at once."""
 
 
 class Terminated(BaseException):
@@ -98,21 +104,36 @@ def start_logging(verbose: bool) -> None:
     )
 
 
+class _Ending:
+    """The end of a process: the first signal begins it, a later one may cut it short."""
+
+    def __init__(self) -> None:
+        self._begun = math.inf
+
+    def begin(self) -> None:
+        """From here on signals end nothing, for a while."""
+        self._begun = min(self._begun, time.monotonic())
+
+    def arrived(self, number: int, _frame: FrameType | None) -> None:
+        """A signal: raises the first time; at once out when tidying up takes too long."""
+        if time.monotonic() - self._begun > _TIDY_SECONDS:
+            os._exit(128 + number)
+        first = self._begun == math.inf
+        self.begin()
+        if first:
+            raise KeyboardInterrupt if number == signal.SIGINT else Terminated
+
+
 def leave(work: Callable[[], int]) -> NoReturn:
     """Run `work` and end the process with its exit code, without waiting for any thread.
 
-    The first Ctrl-C or SIGTERM ends it. Later ones change nothing: they would cut short what
-    tidies up, and leave processes behind.
+    The first Ctrl-C or SIGTERM ends it. Later ones change nothing for a while: they would cut
+    short what tidies up, and leave processes behind.
     """
-
-    def ended(number: int, _frame: FrameType | None) -> None:
-        for each in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(each, signal.SIG_IGN)
-        raise KeyboardInterrupt if number == signal.SIGINT else Terminated
-
-    signal.signal(signal.SIGTERM, ended)
+    ending = _Ending()
+    signal.signal(signal.SIGTERM, ending.arrived)
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as it is behind nohup and &
-        signal.signal(signal.SIGINT, ended)
+        signal.signal(signal.SIGINT, ending.arrived)
     sys.setswitchinterval(_SWITCH_SECONDS)
     try:
         code = work()
@@ -124,6 +145,7 @@ def leave(work: Callable[[], int]) -> NoReturn:
         code = 0
     except OSError as error:
         code = _say(error, 1)
+    ending.begin()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):  # a pipe that nobody reads, a file on a full disk
             stream.flush()

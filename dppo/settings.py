@@ -38,7 +38,7 @@ class RolloutConfig:
     drop: int = 0
     """D: an update may go on without D late slots, once its deadline is over [count]."""
     drop_limit: int = 8
-    """A slot dropped in so many updates running is waited for in the next [count]."""
+    """A slot dropped in so many updates in a row is waited for in the next [count]."""
     time_limit: Literal["bootstrap", "time-feature"] = "bootstrap"
     """Past a truncation: bootstrap V and σ, or (paper) observe 0.001 t and count it as an end."""
     normalize_obs: Literal["std", "paper", "off"] = "std"

@@ -9,6 +9,7 @@ Float64 = NDArray[np.float64]
 Measure = Callable[[Float64], Float64]
 """A figure of each row of values [..., N]."""
 RESAMPLES = 2000
+_ROUNDING = 1e-12
 _AT_ONCE = 1_000_000
 """Numbers drawn at a time: 8 MB."""
 
@@ -21,10 +22,14 @@ def tail_mean(values: Float64, fraction: float = 0.1) -> Float64:
 
 
 def spread(values: Float64) -> Float64:
-    """[...] standard deviation of a sample [..., N], with N - 1; 0 of a single one."""
+    """[...] standard deviation of a sample [..., N], with N - 1; 0 of a single one.
+
+    Values that differ by rounding alone are the same: 0.
+    """
     if values.shape[-1] < 2:
         return np.zeros(values.shape[:-1])
-    return np.asarray(values.std(axis=-1, ddof=1))
+    same = np.ptp(values, axis=-1) <= _ROUNDING * np.abs(values).max(axis=-1)
+    return np.where(same, 0.0, values.std(axis=-1, ddof=1))
 
 
 def cvar(returns: Float64, fraction: float = 0.1) -> float:

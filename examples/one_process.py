@@ -3,7 +3,7 @@
     python examples/one_process.py          two workers
     python examples/one_process.py 3        three workers, and the same hash
 
-Nothing is written to the disk. `dppo-learner` does the same with processes and Zenoh.
+Nothing is written to the disk. `dppo-learner` does the same with processes and sockets.
 """
 
 import json

@@ -26,6 +26,7 @@ from dppo.wire.messages import (
     Failure,
     Gradient,
     Hello,
+    Measure,
     Measured,
     Ready,
     Stop,
@@ -286,7 +287,8 @@ class Exchange:
         round_ = self._questions.round
         if round_ is None:
             return ""
-        where = {0: "collection"}.get(round_.id.round, f"update {round_.id.round}")
+        kinds: dict[object, str] = {Collect: "collection", Measure: "measurement"}
+        where = kinds.get(type(self._questions.task), f"update {round_.id.round}")
         have = tuple(sorted(set(round_.slots) - set(round_.missing)))
         return (
             f"iteration {round_.id.iteration}, {where}: have slots {listed(have)}; "

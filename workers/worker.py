@@ -137,12 +137,12 @@ class Worker:
     def _update(self, task: Update) -> None:
         """The gradient of this update's minibatch, summed over each aligned block of slots."""
         vectors, sums = self._gradients(task)
-        skipping = skips(sums)
+        skipping, answers = skips(sums), []
         for block in aligned_blocks(task.slots):
             first, size = block
             start = task.slots.index(first)  # the slots of a block are neighbours, in order
             rows = slice(start, start + size)
-            self._link.send(
+            answers.append(
                 Gradient(
                     worker=self._name,
                     generation=task.generation,
@@ -155,6 +155,7 @@ class Worker:
                     sums=sum_rows(sums[rows]),
                 )
             )
+        self._link.send(*answers)
 
     def _gradients(self, task: Update) -> tuple[Float32, NDArray[np.float64]]:
         """A row per slot of the task."""

@@ -22,10 +22,12 @@ def calibration(cell: Cell) -> dict[str, Any] | None:
         return None
     summary: dict[str, Any] = {"lambda_ret": found[0].get("lambda_ret"), "seeds": len(found)}
     for name, short in _RATIOS.items():
-        ratios = [one[name] for one in found if _is_above_zero(one.get(name))]
+        ratios = [one[name] for one in found if _is_number(one.get(name))]
         if ratios:
+            with np.errstate(divide="ignore"):  # σ says that nothing spreads: 0
+                logs = np.log(ratios)
             summary[short] = {
-                "geometric_mean": float(np.exp(np.mean(np.log(ratios)))),
+                "geometric_mean": float(np.exp(np.mean(logs))),
                 "by_seed": ratios,
             }
     for name in _OF_STARTS:
@@ -45,5 +47,5 @@ def _of_starts(starts: object, name: str) -> float | None:
     return float(np.sqrt(np.mean(np.square(np.array(stds, np.float64)))))
 
 
-def _is_above_zero(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and value > 0
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

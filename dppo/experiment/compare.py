@@ -164,11 +164,6 @@ def _across_seeds(cell: Cell, base: Cell, count: int, label: str) -> dict[str, A
         "brown_forsythe_p": brown_forsythe(ours, theirs),
     }
     if min(len(ours), len(theirs)) > 1:
-        pair = [
-            resampled(scores, mean, f"{label}/mean/{side}")
-            for side, scores in (("a", ours), ("b", theirs))
-        ]
-        found["difference_interval"] = interval(pair[0] - pair[1])
         found["probability_of_improvement_interval"] = improvement_interval(ours, theirs, label)
         found["stds"] = [float(spread(ours)), float(spread(theirs))]
         found["std_ratio"] = _ratio(*found["stds"])

@@ -19,8 +19,9 @@ POLICIES = (
 )
 SIGMA = (
     "σ predicts the variance of the λ-return; its root is set beside the standard deviation of "
-    "what was played. *Along the way*: over all states of the evaluation episodes from the fixed "
-    "start, against returns minus V. *At the start*: in that one state, over its episodes; where "
+    "what was played. *Along the way*: over the states of the evaluation episodes from the fixed "
+    "start, but for those near the time limit, against returns minus V. *At the start*: in that "
+    "one state, over its episodes; where "
     "nearly nothing is random yet, σ's error there is large against so small a spread. *From its "
     "TD errors*: the root of the mean discounted sum of squared TD errors, which is what σ is "
     "trained on; it differs from the empirical one as far as V is wrong. Ratios: geometric means "
@@ -36,7 +37,11 @@ def training(results: Results) -> str:
         if results["intervals"]["tests"]
         else " SciPy is not installed, so all tests and Welch's interval are missing."
     )
-    compared = sum("against_baseline" in arm for _, _, arm in arms_of(results))
+    compared = sum(
+        min(arm["against_baseline"]["last200"]["seeds"]) > 1
+        for _, _, arm in arms_of(results)
+        if arm.get("against_baseline")
+    )
     return (
         f"Mean return of the last {last} training episodes of each seed; ± is the standard "
         "deviation across seeds (n - 1). *IQM*: interquartile mean over seeds. Brackets: 95 % "
@@ -44,9 +49,9 @@ def training(results: Results) -> str:
         "each arm, too narrow with few seeds; of the difference by Welch; of the ratio of spreads "
         "by F, which takes scores to be normal. *P(better)*: that a seed of this arm beats one of "
         "the baseline. *p, ranks*: Mann and Whitney's test of that. *p, spread*: Brown-Forsythe, "
-        f"of equal spreads across seeds.{_power(results)} Judged at 5 %, each on its own: with "
-        f"{compared} comparisons of equal arms {0.05 * compared:.1g} would look different in each "
-        f"column.{_short_runs(results)}{tests}"
+        f"of equal spreads across seeds.{_power(results)} Judged at 5 %, each on its own: of "
+        f"{compared} comparisons of arms that are equal, up to {0.05 * compared:.2g} would look "
+        f"different in each column.{_short_runs(results)}{tests}"
     )
 
 

@@ -38,7 +38,9 @@ class Finished:
 
     def episodes(self, start: str) -> list[dict[str, Any]]:
         """Evaluation episodes of one kind of start."""
-        return [one for one in self.evaluation.get("episodes", []) if one["start"] == start]
+        return [
+            one for one in self.evaluation.get("episodes", []) if one.get("start", "free") == start
+        ]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,7 +26,16 @@ def with_ends(one: Mapping[str, Any], name: str) -> str:
 def times(against: Mapping[str, Any], name: str) -> str:
     """A ratio with its interval."""
     value = against.get(f"{name}_ratio")
-    return NOTHING if value is None else f"{value:.2f}{ends(against[f'{name}_ratio_interval'], 2)}"
+    if value is None:
+        return NOTHING
+    bounds = against[f"{name}_ratio_interval"]
+    return f"{value:.2f}" + (
+        "" if bounds is None else f" [{_short(bounds[0])}, {_short(bounds[1])}]"
+    )
+
+
+def _short(value: float) -> str:
+    return f"{value:.2f}" if value < 100 else f"{value:.3g}"
 
 
 def p_value(value: float | None) -> str:

@@ -86,7 +86,8 @@ def calibration_sentence(results: Results) -> str:
     for name, words in (("along", "along the way"), ("start", "at the start")):
         ratios = [one[name]["geometric_mean"] for one in found if name in one]
         good = sum(1 / GOAL <= ratio <= GOAL for ratio in ratios)
-        parts.append(f"{words} in {good} of {len(ratios)} arms")
+        if ratios:
+            parts.append(f"{words} in {good} of {len(ratios)} arms")
     return f"Within 25 %, geometric mean over seeds: {'; '.join(parts)}."
 
 

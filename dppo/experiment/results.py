@@ -95,45 +95,52 @@ def over_environments(found: Sequence[Cell], baseline: str) -> dict[str, Any]:
     Of each arm that every environment has, with seeds resampled within each environment (Agarwal
     et al. 2021), the baseline's along with the arm's: its mean is as uncertain. Of the seeds that
     all environments have, so that each counts as much. Empty with one environment, fewer than two
-    seeds, or where a baseline's mean is not above 0.
+    seeds, or where a baseline's mean is not above 0; no interval where a resampled one is not.
     """
     envs = list(dict.fromkeys(cell.env for cell in found))
     by_key = {(cell.env, cell.arm): cell for cell in found if cell.finished}
-    bases = [by_key[env, baseline].scores(100) for env in envs if (env, baseline) in by_key]
-    if len(envs) < 2 or len(bases) < len(envs):
+    together = {}
+    for arm in dict.fromkeys(cell.arm for cell in found):
+        cells_ = [by_key.get((env, arm)) for env in envs]
+        together[arm] = _of_common_seeds([cell for cell in cells_ if cell is not None])
+        if None in cells_:
+            del together[arm]
+    bases = together.get(baseline)
+    if len(envs) < 2 or bases is None or len(bases[0]) < 2 or min(map(np.mean, bases)) <= 0:
         return {}
-    if min(map(len, bases)) < 2 or min(float(scores.mean()) for scores in bases) <= 0:
-        return {}
-    together = {
-        arm: _together([by_key[env, arm] for env in envs], bases, arm, is_base=arm == baseline)
-        for arm in dict.fromkeys(cell.arm for cell in found)
-        if all((env, arm) in by_key for env in envs)
+    return {
+        arm: _in_units(scores, bases, arm, is_base=arm == baseline)
+        for arm, scores in together.items()
+        if len(scores[0]) > 1
     }
-    return {arm: one for arm, one in together.items() if one["seeds"] > 1}
 
 
-def _together(
-    cells_: Sequence[Cell], bases: list[Floats], arm: str, *, is_base: bool
-) -> dict[str, Any]:
-    common = set.intersection(*({one.run.seed for one in cell.finished} for cell in cells_))
-    scores = [
+def _of_common_seeds(cells_: Sequence[Cell]) -> list[Floats]:
+    """Last 100 training episodes on each environment, of the seeds that all of them have."""
+    seeds = [{one.run.seed for one in cell.finished} for cell in cells_]
+    common = set.intersection(*seeds) if seeds else set()
+    return [
         np.array([one.last(100) for one in cell.finished if one.run.seed in common])
         for cell in cells_
     ]
-    if len(common) < 2:
-        return {"seeds": len(common)}
-    drawn, units = [], []
+
+
+def _in_units(
+    scores: list[Floats], bases: list[Floats], arm: str, *, is_base: bool
+) -> dict[str, Any]:
+    values, certain = [], True
     for place, (one, base) in enumerate(zip(scores, bases, strict=True)):
         label = f"over/{arm}/{place}"
-        drawn.append(resampled(one, lambda values: values, label))
-        of_base = f"{label}/base"
-        units.append(drawn[-1].mean(axis=1) if is_base else resampled(base, mean, of_base))
-    values = [one / unit[:, None] for one, unit in zip(drawn, units, strict=True)]
+        drawn = resampled(one, lambda values: values, label)
+        unit = drawn.mean(axis=1) if is_base else resampled(base, mean, f"{label}/base")
+        certain &= bool((unit > 0).all())
+        values.append(drawn / unit[:, None])
     shares = [one / base.mean() for one, base in zip(scores, bases, strict=True)]
+    together = interquartile_mean(np.concatenate(values, axis=1))
     return {
-        "seeds": len(common),
+        "seeds": len(scores[0]),
         "iqm": float(interquartile_mean(np.concatenate(shares))),
-        "iqm_interval": interval(interquartile_mean(np.concatenate(values, axis=1))),
+        "iqm_interval": interval(together) if certain else None,
     }
 
 

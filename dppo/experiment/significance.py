@@ -18,8 +18,6 @@ SIGNIFICANT = 1 - LEVEL
 _LEAST_FOR_SPREAD = 4
 """With three seeds an arm the Brown-Forsythe test can never reject."""
 _SIMULATED = 4000
-_ROUNDING = 1e-12
-"""Scores that differ by so little of their size are the same."""
 
 
 def has_tests() -> bool:
@@ -40,8 +38,7 @@ def welch(scores: Floats, others: Floats) -> Welch | None:
     """Welch's t-test; None: too few seeds, no spread at all, or no SciPy."""
     if min(len(scores), len(others)) < 2 or not has_tests():
         return None
-    size = max(float(np.abs(one).max()) for one in (scores, others))
-    if max(float(np.ptp(one)) for one in (scores, others)) <= _ROUNDING * size:
+    if max(float(spread(one)) for one in (scores, others)) == 0:
         return None
     from scipy.stats import ttest_ind
 
@@ -149,7 +146,7 @@ def share_interval(by_seed: Floats, episodes: int) -> Interval | None:
     from scipy.stats import binomtest, t
 
     seeds, share = len(by_seed), float(by_seed.mean())
-    error = float(by_seed.std(ddof=1)) / math.sqrt(seeds) if seeds > 1 else 0.0
+    error = float(spread(by_seed)) / math.sqrt(seeds)
     if error > 0:
         half = float(t.ppf((1 + LEVEL) / 2, seeds - 1)) * error
         return max(0.0, share - half), min(1.0, share + half)

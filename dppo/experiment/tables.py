@@ -78,9 +78,8 @@ def _against(comparison: Any) -> tuple[str, ...]:  # noqa: ANN401  JSON
         bounds = found["probability_of_improvement_interval"]
         apart = bounds is None or bounds[0] == bounds[1]  # every seed: resamples show no doubt
         better = f"{found['probability_of_improvement']:.2f}{'' if apart else ends(bounds, 2)}"
-    interval = found["welch_interval"] or found.get("difference_interval")
     return (
-        f"{found['difference']:+.1f}{ends(interval)}",
+        f"{found['difference']:+.1f}{ends(found['welch_interval'])}",
         p_value(found["welch_p"]),
         better,
         p_value(found["mann_whitney_p"]),

@@ -26,10 +26,9 @@ def of_interval(interval: Any, seeds: int, *, zero: float = 0.0) -> str:  # noqa
 
 
 def of_mean(comparison: Summary) -> str:
-    """Mean return against the baseline's: Welch's interval, or resampling without SciPy."""
+    """Mean return against the baseline's: Welch's interval."""
     found = comparison["last200"]
-    interval = found["welch_interval"] or found.get("difference_interval")
-    return of_interval(interval, min(found["seeds"]))
+    return of_interval(found["welch_interval"], min(found["seeds"]))
 
 
 def of_spread(comparison: Summary) -> str:
@@ -39,7 +38,7 @@ def of_spread(comparison: Summary) -> str:
     if seeds < 2:
         return ONE_SEED
     if p is None:
-        return "not judged: fewer than 4 seeds, or SciPy is missing"
+        return "not judged: fewer than 4 seeds, nothing spreads, or no SciPy"
     if p >= SIGNIFICANT:
         return f"no difference that {seeds} seeds can show"
     ours, theirs = found["stds"]
@@ -49,10 +48,15 @@ def of_spread(comparison: Summary) -> str:
 def of_policies(comparison: Summary, start: str, kind: str) -> str:
     """Spread of returns within a policy, and what it costs in mean, against the baseline."""
     found, seeds = comparison[start][kind], min(comparison[start]["seeds"])
-    spread = of_interval(found.get("std_ratio_interval"), seeds, zero=1.0)
-    if "std_ratio" not in found:  # a policy has no spread at all
-        spread = of_interval(found["std"]["interval"], seeds)
-    return f"spread {spread}; mean {of_interval(found['mean']['interval'], seeds)}"
+    mean = of_interval(found["mean"]["interval"], seeds)
+    return f"spread {of_spread_within(found, seeds)}; mean {mean}"
+
+
+def of_spread_within(found: Summary, seeds: int) -> str:
+    """Spread of one policy's returns: by the ratio, or where a policy has none, the difference."""
+    if "std_ratio" in found:
+        return of_interval(found["std_ratio_interval"], seeds, zero=1.0)
+    return of_interval(found["std"]["interval"], seeds)
 
 
 def of_goal(comparison: Summary, start: str, kind: str) -> str:
@@ -62,7 +66,7 @@ def of_goal(comparison: Summary, start: str, kind: str) -> str:
         return ONE_SEED
     ends = [found.get(f"{name}_ratio_interval") for name in ("std", "mean")]
     if None in ends:
-        return "not judged: a mean or a spread is not above 0, or SciPy is missing"
+        return "not judged: no interval of a ratio"
     (least_spread, most_spread), (least_mean, most_mean) = ends
     if most_spread <= GOAL_SPREAD and least_mean >= GOAL_MEAN:
         return "yes"

@@ -123,7 +123,7 @@ class Measured:
     """KL[π_old‖π] of one slot after the iteration's updates.
 
     Example:
-        Measured(worker="w-3f2a", generation=1, iteration=0, round=81, slot=3, ...)
+        Measured(worker="w-3f2a", generation=1, iteration=0, round=11, slot=3, ...)
     """
 
     worker: str
@@ -245,7 +245,7 @@ class Measure:
     """Measure KL[π_old‖π] on each of `slots`.
 
     Example:
-        Measure(generation=1, iteration=4, round=81, slots=(0, 1), parameters=...)
+        Measure(generation=1, iteration=4, round=11, slots=(0, 1), parameters=...)
     """
 
     generation: int

@@ -54,6 +54,17 @@ def test_the_calibration_is_a_geometric_mean_over_seeds(whole):
     assert "| 1.25 (seeds: 1.25 to 1.25) | 0.65 (seeds: 0.25 to 1.40) |" in page
 
 
+def test_a_sigma_of_nothing_is_not_left_out_of_its_mean(tmp_path):
+    folder, grid = planned(tmp_path, seeds=2)
+    for run in grid.runs:
+        facts = evaluated(10.0 + run.seed, 1000.0)
+        facts["calibration"] |= {"ratio": 0.0 if run.seed == 1 else 1.0, "along_ratio": None}
+        leave(folder, run, 1000.0, **facts)
+    _, page = report_of(folder)
+    assert "| 0.00 (seeds: 0.00 to 1.00) |" in page
+    assert "geometric mean over seeds: at the start in 0 of 3 arms" in page
+
+
 def test_an_evaluation_of_fewer_episodes_is_made_again(tmp_path):
     folder, grid = planned(tmp_path, evaluate=4)
     run = grid.runs[0]

@@ -85,7 +85,7 @@ def test_a_partial_grid_says_so_and_a_seed_alone_shows_nothing(tmp_path):
     assert "| ψ 0.3 | 0 of 5 |" in page
     assert "one seed shows nothing" in page
     assert "Within a policy" not in page
-    assert "Calibration" not in page
+    assert "Does σ know" not in page
 
 
 def test_nothing_finished_is_a_report_as_well(tmp_path):
@@ -103,8 +103,9 @@ def test_what_an_evaluation_lacks_is_left_out(tmp_path):
     results, page = report_of(folder)
     table = page.split("## Within a policy")[1].split("##")[0]
     assert "CVaR 10 %" in table
-    for column in ("falls", "discounted", "fixed"):
-        assert column not in table.splitlines()[2]
+    assert "falls" not in table.splitlines()[2]
+    assert "discounted returns from" not in page
+    assert "one fixed start state" not in page
     assert (
         "falls"
         not in results["environments"]["HalfCheetah-v4"]["arms"]["psi0"]["evaluation"]["free"]
@@ -120,6 +121,15 @@ def test_environments_together_are_in_units_of_their_baselines(tmp_path):
     found = {arm: one["iqm"] for arm, one in results["over_environments"].items()}
     assert found == pytest.approx({"psi0": 1.0, "psi-paper": 2.0, "psi-twice": 0.5})
     assert "Over all environments" in page
+
+
+def test_no_interval_is_given_in_units_that_may_be_zero(tmp_path):
+    folder, grid = planned(tmp_path, envs=("Hopper-v4", "Ant-v4"), seeds=3)
+    for run in grid.runs:
+        leave(folder, run, {1: -300.0, 2: 100.0, 3: 400.0}[run.seed])
+    results, _ = report_of(folder)
+    found = results["over_environments"]["psi-paper"]
+    assert (found["seeds"], found["iqm_interval"]) == (3, None)
 
 
 def test_a_claim_about_all_environments_takes_all_of_them(tmp_path):

@@ -52,6 +52,7 @@ def test_the_worst_tenth_is_of_at_least_one_and_rounded_up():
 def test_the_spread_is_that_of_a_sample_and_none_of_one():
     assert spread(np.array([1.0, 3.0])) == pytest.approx(np.sqrt(2))
     assert spread(np.array([[5.0]])) == [0.0]
+    assert spread(np.array([np.full(100, 1000.1), np.arange(100.0)])).tolist()[0] == 0.0
 
 
 def test_statistics_go_along_the_last_axis():
@@ -140,6 +141,8 @@ def test_a_share_of_none_or_all_episodes_is_not_certain():
     # Clopper and Pearson: (1 - p)^100 = 0.025
     assert share_interval(np.zeros(1), 100) == pytest.approx((0.0, 1 - 0.025 ** (1 / 100)))
     assert share_interval(np.ones(5), 100) == pytest.approx((0.025 ** (1 / 500), 1.0))
+    low, high = share_interval(np.full(3, 0.1), 100) or (0.0, 0.0)  # equal but for rounding
+    assert high - low > 0.06
     shares = np.array([0.1, 0.3, 0.2])
     half = stats.t.ppf(0.975, 2) * 0.1 / np.sqrt(3)
     assert share_interval(shares, 100) == pytest.approx((max(0, 0.2 - half), 0.2 + half))

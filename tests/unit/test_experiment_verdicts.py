@@ -63,12 +63,35 @@ def test_one_seed_decides_nothing_about_policies():
         ([400.0, 100.0], 0.01, "higher"),
         ([400.0, 0.0], 0.03, "higher"),  # a baseline without any spread has no ratio
         ([100.0, 400.0], 0.06, "no difference that 5 seeds can show"),
-        ([100.0, 400.0], None, "not judged: fewer than 4 seeds, or SciPy is missing"),
+        (
+            [100.0, 400.0],
+            None,
+            "not judged: fewer than 4 seeds, nothing spreads, or no SciPy",
+        ),
     ],
 )
 def test_a_spread_is_lower_or_higher_as_the_standard_deviations_are(stds, p, sentence):
     found = {"seeds": [5, 5], "brown_forsythe_p": p, "stds": stds}
     assert of_spread({"last200": found}) == sentence
+
+
+def test_the_spread_of_policies_without_any_is_judged_by_the_difference():
+    found = {"std": {"interval": [-9.0, -1.0]}, "mean": {"interval": [-1.0, 1.0]}}
+    sentence = of_policies({"free": {"seeds": [5, 5], "x": found}}, "free", "x")
+    assert sentence == "spread lower; mean no difference that 5 seeds can show"
+
+
+def test_a_claim_whose_numbers_one_arm_lacks_is_left_out(tmp_path):
+    folder, grid = planned(tmp_path, envs=("Ant-v4",))
+    for run in grid.runs:
+        facts = evaluated(10.0 + run.seed, 1000.0, fell=True)
+        if run.psi == 0:
+            for episode in facts["episodes"]:
+                del episode["terminated"]
+        leave(folder, run, 100.0 * run.seed, **facts)
+    _, page = report_of(folder)
+    assert "consistent behaviour" in page
+    assert "life-span" not in page
 
 
 def test_the_papers_row_is_of_the_arm_that_differs_in_psi_alone():

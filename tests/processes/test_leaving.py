@@ -1,0 +1,73 @@
+"""How a command ends after signals."""
+
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from tests.support import ROOT
+
+COMMAND = """
+import sys
+import time
+from dppo import process
+
+process._TIDY_SECONDS = float(sys.argv[1])
+
+
+def work():
+    print("ready", flush=True)
+    try:
+        time.sleep(60)
+    finally:
+        print("tidying up", flush=True)
+        sys.stdin.readline()
+        print("tidy", flush=True)
+    return 0
+
+
+process.leave(work)
+"""
+
+
+@pytest.fixture
+def started():
+    """A command that tidies up until it reads a line; how long it may, before a signal ends it."""
+    children = []
+
+    def start(seconds):
+        child = subprocess.Popen(
+            [sys.executable, "-c", COMMAND, str(seconds)],
+            cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+            text=True, restore_signals=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        )  # fmt: skip
+        children.append(child)
+        assert child.stdout is not None
+        assert child.stdout.readline() == "ready\n"
+        return child
+
+    yield start
+    for child in children:
+        child.kill()
+        child.communicate()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_first_signal_ends_it_and_later_ones_let_it_tidy_up(started, number):
+    child = started(60)
+    child.send_signal(number)
+    assert child.stdout.readline() == "tidying up\n"
+    for later in (signal.SIGINT, signal.SIGTERM, signal.SIGTERM, signal.SIGINT):
+        child.send_signal(later)
+    out, err = child.communicate("\n", timeout=10)
+    assert (out, err, child.returncode) == ("tidy\n", "", 0)
+
+
+def test_tidying_up_that_takes_too_long_is_cut_short_by_a_second_signal(started):
+    child = started(0)
+    child.send_signal(signal.SIGTERM)
+    assert child.stdout.readline() == "tidying up\n"
+    child.send_signal(signal.SIGTERM)
+    assert child.wait(10) == 128 + signal.SIGTERM
