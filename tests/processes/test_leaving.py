@@ -17,8 +17,8 @@ process._TIDY_SECONDS = float(sys.argv[1])
 
 
 def work():
-    print("ready", flush=True)
     try:
+        print("ready", flush=True)
         time.sleep(60)
     finally:
         print("tidying up", flush=True)
