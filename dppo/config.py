@@ -97,12 +97,21 @@ class Config:
 
     def differences(self, before: "Config") -> list[str]:
         """What is set otherwise than before, each as `--flag was 1, is 2`."""
-        then = before.to_dict()
         return [
-            f"--{name.replace('_', '-')} was {then[group][name]}, is {value}"
+            f"--{name.replace('_', '-')} was {was}, is {value}"
+            for _, name, was, value in self.unequal(before.to_dict())
+        ]
+
+    def unequal(self, before: dict[str, Any]) -> list[tuple[str, str, Any, Any]]:
+        """Group, name, value before and now, of settings that `to_dict` had otherwise before.
+
+        What `before` lacks, of another version, is left out.
+        """
+        return [
+            (group, name, before[group][name], value)
             for group, fields in self.to_dict().items()
             for name, value in fields.items()
-            if then[group][name] != value
+            if name in before.get(group, {}) and before[group][name] != value
         ]
 
     @classmethod

@@ -42,7 +42,7 @@ def _of_starts(starts: object, name: str) -> float | None:
     if not isinstance(starts, Sequence) or not starts:
         return None
     stds = [one.get(name) for one in starts if isinstance(one, Mapping)]
-    if not all(isinstance(std, int | float) for std in stds):
+    if not all(map(_is_number, stds)):
         return None
     return float(np.sqrt(np.mean(np.square(np.array(stds, np.float64)))))
 

@@ -1,6 +1,6 @@
 """The paper's claims, what came out here, and one sentence of judgement on each."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -155,8 +155,7 @@ def _in_all(found: list[Row]) -> Claim:
 
 
 def _outperforms(found: list[Row]) -> Claim:
-    higher = [row.env for row in found if of_mean(row.comparison) == "higher"]
-    lower = [row.env for row in found if of_mean(row.comparison) == "lower"]
+    higher, lower = (_where(found, of_mean, verdict) for verdict in ("higher", "lower"))
     verdict = "Does not hold here." if lower else _in_all_four(found, len(higher))
     return (
         "It outperforms DPPO in all the environments (key contributions); its own Table 2 has a "
@@ -168,8 +167,7 @@ def _outperforms(found: list[Row]) -> Claim:
 
 
 def _reduces(found: list[Row]) -> Claim:
-    lower = [row.env for row in found if of_spread(row.comparison) == "lower"]
-    higher = [row.env for row in found if of_spread(row.comparison) == "higher"]
+    higher, lower = (_where(found, of_spread, verdict) for verdict in ("higher", "lower"))
     return (
         "A significant reduction in the standard deviation of the scores in all the environments "
         "(abstract); from its own numbers it is significant in none",
@@ -177,6 +175,11 @@ def _reduces(found: list[Row]) -> Claim:
         f"{len(higher)}{_named(higher)}",
         "Does not hold here." if higher else _in_all_four(found, len(lower)),
     )
+
+
+def _where(found: list[Row], judge: Callable[[Summary], str], verdict: str) -> list[str]:
+    """Environments with this verdict."""
+    return [row.env for row in found if judge(row.comparison) == verdict]
 
 
 def _in_all_four(found: list[Row], shown: int) -> str:

@@ -143,12 +143,13 @@ def comparison(cell: Cell, base: Cell) -> dict[str, Any] | None:
 
 def _on_the_way_against(cell: Cell, base: Cell) -> dict[str, Any]:
     """Differences of the returns at the marks."""
-    return {
-        str(steps): _difference(cell.scores_at(steps), base.scores_at(steps))
-        for steps in MARKS
-        if steps <= min(cell.runs[0].real_steps, base.runs[0].real_steps)
-        and min(len(cell.scores_at(steps)), len(base.scores_at(steps)))
-    }
+    found = {}
+    for steps in MARKS:
+        if steps <= min(cell.runs[0].real_steps, base.runs[0].real_steps):
+            ours, theirs = cell.scores_at(steps), base.scores_at(steps)
+            if len(ours) and len(theirs):
+                found[str(steps)] = _difference(ours, theirs)
+    return found
 
 
 def _across_seeds(cell: Cell, base: Cell, count: int, label: str) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from dppo.experiment.policy_tables import calibration_sentence, calibrations, wi
 from dppo.experiment.results import Results, describe
 from dppo.experiment.tables import (
     all_arms,
+    arms_of,
     beside_the_paper,
     claims_table,
     on_the_way,
@@ -93,7 +94,7 @@ def _blocks(results: Results, pictures: Sequence[tuple[str, str]]) -> Iterator[B
 
 
 def _what_ran(results: Results) -> Iterator[Block]:
-    runs, arms = results["runs"], _arms(results)
+    runs, arms = results["runs"], [arm for _, _, arm in arms_of(results)]
     steps = sorted({arm["steps"] for arm in arms})
     seeds = sorted({len(arm["seeds_planned"]) for arm in arms})
     yield Paragraph(
@@ -179,10 +180,6 @@ def _settings(results: Results) -> Iterator[Block]:
 def _is_of(words: Sequence[str], env: str, seed: int) -> bool:
     pairs = list(itertools.pairwise(words))
     return ("--env", env) in pairs and ("--seed", str(seed)) in pairs
-
-
-def _arms(results: Results) -> list[Results]:
-    return [arm for one in results["environments"].values() for arm in one["arms"].values()]
 
 
 def _count(things: Collection[object], name: str) -> str:

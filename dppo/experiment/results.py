@@ -149,12 +149,11 @@ def _unlike_the_paper(found: Sequence[Cell]) -> dict[str, Any]:
     cell = next((one for one in found if reported(one.env) is not None), None)
     if cell is None:
         return {}
-    ours, theirs = cell.runs[0].config.to_dict(), PRESETS["paper"](cell.env).to_dict()
+    recipe = PRESETS["paper"](cell.env).to_dict()
     settings = [
-        f"{name} {value} (paper {theirs[group][name]})"
-        for group, fields in ours.items()
-        for name, value in fields.items()
-        if group != "run" and name != "psi" and theirs[group][name] != value
+        f"{name} {value} (paper {theirs})"
+        for group, name, theirs, value in cell.runs[0].config.unequal(recipe)
+        if group != "run" and name != "psi"
     ]
     return {"env": cell.env, "settings": settings}
 
@@ -165,12 +164,9 @@ def _run_otherwise(found: Sequence[Cell]) -> dict[str, list[str]]:
     for cell in found:
         first = cell.runs[0]
         for one in cell.finished:
-            was = one.facts.get("config", {})
             found_ = [
-                f"--{name.replace('_', '-')} was {was[group][name]}"
-                for group, fields in one.run.config.to_dict().items()
-                for name, value in fields.items()
-                if name in was.get(group, {}) and was[group][name] != value
+                f"--{name.replace('_', '-')} was {was}"
+                for _, name, was, _ in one.run.config.unequal(one.facts.get("config", {}))
             ]
             if (one.run.settings, one.run.steps) != (first.settings, first.steps):
                 found_.append(f"seed {first.seed} of its arm has other settings")

@@ -5,13 +5,13 @@ n seeds, E episodes of each, R resamples. Seeds are resampled within one arm on 
 such intervals are too narrow, so nothing is judged by them: see `significance.py`.
 """
 
-import math
 import zlib
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dppo.statistics import tail_mean
 from dppo.streams import stream
 
 Floats = NDArray[np.float64]
@@ -38,8 +38,7 @@ def interquartile_mean(scores: Floats) -> Floats:
 
 def cvar10(scores: Floats) -> Floats:
     """Mean of the worst tenth over the last axis, of at least one."""
-    count = max(1, math.ceil(0.1 * scores.shape[-1]))
-    return np.asarray(np.partition(scores, count - 1, axis=-1)[..., :count].mean(axis=-1))
+    return tail_mean(scores)
 
 
 def resampled(scores: Floats, statistic: Statistic, label: str) -> Floats:

@@ -83,7 +83,7 @@ def _against(comparison: Any) -> tuple[str, ...]:  # noqa: ANN401  JSON
         p_value(found["welch_p"]),
         better,
         p_value(found["mann_whitney_p"]),
-        times(found, "std") if "std_ratio" in found else NOTHING,
+        times(found, "std"),
         p_value(found["brown_forsythe_p"]),
         of_mean(comparison),
         of_spread(comparison),
