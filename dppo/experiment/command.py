@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from dppo.errors import UsageError
-from dppo.experiment.folder import Folder
+from dppo.experiment.folder import Folder, Plan
 from dppo.experiment.plan import Grid, whole_number
 from dppo.experiment.table2 import ENVIRONMENTS, table2
 from dppo.process import usable_cores
@@ -16,7 +16,8 @@ from dppo.settings import require
 
 _USAGE = (
     "usage: dppo experiment table2 [options] [-- flags of dppo-learner], dppo experiment "
-    "GRID.toml [options], or dppo experiment report DIR; --help after one of these says more"
+    "GRID.toml [options], dppo experiment report DIR, or dppo experiment keep DIR --out NEW; "
+    "--help after one of these says more"
 )
 
 
@@ -81,6 +82,20 @@ class FileArgs(GridArgs):
 
 
 @dataclass(frozen=True, kw_only=True)
+class KeepArgs:
+    """Copy what the report of an experiment needs, and each arm's best policy: a small folder.
+
+    It can be kept with code or a paper: it gives the same report, and a copy of it goes on with
+    more seeds.
+    """
+
+    folder: str
+    """Folder of the experiment; it may be running."""
+    out: str
+    """New folder."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class ReportArgs:
     """Write the report of what an experiment has reached; trains nothing."""
 
@@ -103,6 +118,8 @@ def run(words: list[str]) -> int:
     match own:
         case ["report", *rest]:
             return _report(parse(ReportArgs, _first(rest, "--folder"), "dppo experiment report"))
+        case ["keep", *rest]:
+            return _keep(parse(KeepArgs, _first(rest, "--folder"), "dppo experiment keep"))
         case ["table2", *rest]:
             args = parse(Table2Args, rest, "dppo experiment table2")
             return _experiment(_table2(args, theirs), args, "table2")
@@ -195,10 +212,20 @@ def _processor() -> str:
 def _report(args: ReportArgs) -> int:
     from dppo.experiment.report import write_report
 
-    folder = Folder(Path(args.folder))
+    print(f"see {write_report(*_planned(args.folder))}")
+    return 0
+
+
+def _keep(args: KeepArgs) -> int:
+    from dppo.experiment.keep import keep
+
+    print(f"see {keep(*_planned(args.folder), Path(args.out))}")
+    return 0
+
+
+def _planned(path: str) -> tuple[Folder, Plan]:
+    folder = Folder(Path(path))
     plan = folder.read_plan()
     if plan is None:
         raise UsageError(f"{folder.path} holds no plan.json; expected a folder of dppo experiment")
-    path = write_report(folder, plan)
-    print(f"see {path}")
-    return 0
+    return folder, plan

@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from dppo.experiment.best import best_seed
 from dppo.experiment.calibrated import calibration
-from dppo.experiment.measure import Cell
+from dppo.experiment.measure import STARTS, Cell
 from dppo.experiment.significance import (
     brown_forsythe,
     mann_whitney,
@@ -33,7 +34,6 @@ LAST = (200, 100)
 """Training episodes: the paper's measure, and the one of `rollout/ep_rew_mean`."""
 MARKS = (1_000_000, 2_000_000, 3_000_000, 5_000_000, 10_000_000)
 """Where returns are told on the way [env steps]."""
-STARTS = ("free", "fixed")
 _WITHIN: dict[str, Statistic] = {"mean": mean, "std": spread, "cvar10": cvar10}
 KINDS = {"undiscounted": "return", "discounted": "discounted_return"}
 """Returns of evaluation episodes, and what an episode calls them."""
@@ -56,6 +56,7 @@ def summary(cell: Cell) -> dict[str, Any]:
             start: found for start in STARTS if (found := evaluation(cell, start)) is not None
         },
         "calibration": calibration(cell),
+        "best_seed": best_seed(cell),
         "parameters_sha256": {
             str(one.run.seed): one.result.get("parameters_sha256") for one in cell.finished
         },

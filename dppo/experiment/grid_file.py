@@ -24,7 +24,8 @@ def read_grid(path: Path) -> Grid:
         values = tomllib.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise UsageError(
-            f"{path} is not a readable TOML file: {error}; expected a grid, or table2, or report"
+            f"{path} is not a readable TOML file: {error}; expected a grid, or "
+            "table2, report or keep"
         ) from error
     try:
         return _grid(values, path.stem)

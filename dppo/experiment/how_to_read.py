@@ -85,3 +85,12 @@ def claims(results: Results) -> str:
         "its ± was taken; the mean of each seed's last 200 episodes, and the standard deviation "
         "of those means, is what its words say. Each claim is judged on its own, at 5 %."
     )
+
+
+def best_seeds(results: Results) -> str:
+    """How they were chosen, and how to see one again."""
+    return (
+        "Chosen by the last 100 training episodes. The two last columns, mean ± standard "
+        "deviation, are `return_mean` and `return_std` of `dppo eval RUN --which newest "
+        f"--episodes {results['evaluation_episodes']} --fixed-start`; `dppo watch RUN` shows one."
+    )

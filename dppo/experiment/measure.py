@@ -16,6 +16,10 @@ _PLAIN_ARMS = ("psi-paper", "psi-twice")
 """Of Table 2: they differ in ψ alone."""
 POINTS = 200
 """Of a learning curve."""
+_CURVE = ("time/total_timesteps", "rollout/ep_rew_mean")
+"""What it consists of, in metrics.jsonl."""
+STARTS = ("free", "fixed")
+"""Kinds of evaluation episodes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,7 +28,8 @@ class Finished:
 
     run: Run
     returns: Floats
-    """[N] of all training episodes, in the order in which they were counted."""
+    """[N] of the training episodes, at least of the last 200, in the order in which they were
+    counted."""
     curve: tuple[Floats, Floats]
     """Environment steps, and mean return of the last 100 training episodes there."""
     evaluation: dict[str, Any]
@@ -112,8 +117,8 @@ def _all_finished(folder: Folder, runs: list[Run]) -> Iterator[Finished]:
 
 def _finished(folder: Folder, run: Run) -> Finished:
     path = folder.run(run)
-    rows = [row for row in _rows(path / "metrics.jsonl") if "rollout/ep_rew_mean" in row]
-    episodes = [row["returns"] for row in _rows(path / "episodes.jsonl")]
+    rows = curve_rows(path)
+    episodes = [row["returns"] for row in json_lines(path / "episodes.jsonl")]
     return Finished(
         run=run,
         returns=np.array([score for scores in episodes for score in scores], np.float64),
@@ -127,7 +132,16 @@ def _finished(folder: Folder, run: Run) -> Finished:
     )
 
 
-def _rows(file: Path) -> Iterator[dict[str, Any]]:
+def curve_rows(run: Path) -> list[dict[str, Any]]:
+    """What the learning curve of a run directory consists of."""
+    return [
+        {name: row[name] for name in _CURVE}
+        for row in json_lines(run / "metrics.jsonl")
+        if all(name in row for name in _CURVE)
+    ]
+
+
+def json_lines(file: Path) -> Iterator[dict[str, Any]]:
     """Whole lines of a file of JSON lines."""
     if not file.exists():
         return

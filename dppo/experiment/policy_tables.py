@@ -79,6 +79,18 @@ def calibrations(results: Results) -> Table | None:
     return Table(head, lines) if lines else None
 
 
+def best_seeds(results: Results) -> Table | None:
+    """The best seed of each arm, with figures as `dppo eval` prints them; None: there are none."""
+    lines = [
+        (env, arm["label"], f"`{one['run']}`", f"{one['last100']:.1f}", _return(one, "free"),
+         _return(one, "fixed"))
+        for env, _, arm in arms_of(results)
+        if (one := arm["best_seed"]) and "free" in one
+    ]  # fmt: skip
+    head = ("environment", "arm", "run", "last 100", "free starts", "the same start")
+    return Table(head, lines) if lines else None
+
+
 def calibration_sentence(results: Results) -> str:
     """Where σ is right within a quarter, along the way and at the start."""
     found = [one for _, _, arm in arms_of(results) if (one := arm["calibration"])]
@@ -98,6 +110,10 @@ def _ratio(one: Any) -> str:  # noqa: ANN401  JSON
     low, high = min(one["by_seed"]), max(one["by_seed"])
     seeds = f" (seeds: {low:.2f} to {high:.2f})" if len(one["by_seed"]) > 1 else ""
     return f"{one['geometric_mean']:.2f}{seeds}"
+
+
+def _return(one: Results, start: str) -> str:
+    return f"{one[start]['mean']:.6g} ± {one[start]['std']:.6g}" if start in one else NOTHING
 
 
 def _share(one: Results) -> str:

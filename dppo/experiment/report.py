@@ -22,7 +22,12 @@ from dppo.experiment.page import (
     to_html,
     to_markdown,
 )
-from dppo.experiment.policy_tables import calibration_sentence, calibrations, within_policies
+from dppo.experiment.policy_tables import (
+    best_seeds,
+    calibration_sentence,
+    calibrations,
+    within_policies,
+)
 from dppo.experiment.results import Results, describe
 from dppo.experiment.tables import (
     all_arms,
@@ -137,6 +142,10 @@ def _evaluation(results: Results) -> Iterator[Block]:
         yield Heading("Does σ know how far returns spread?")
         yield table
         yield Paragraph(f"{calibration_sentence(results)} {how_to_read.SIGMA}")
+    if (table := best_seeds(results)) is not None:
+        yield Heading("The best seed of each arm")
+        yield table
+        yield Paragraph(how_to_read.best_seeds(results))
 
 
 def _settings(results: Results) -> Iterator[Block]:

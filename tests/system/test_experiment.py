@@ -126,6 +126,28 @@ def test_finished_it_trains_nothing_again_and_reports_all_that_was_ever_planned(
     assert "4 of 4 runs" in (folder / "report.md").read_text()
 
 
+def test_what_is_kept_of_it_is_small_has_its_best_policies_and_goes_on(harness, unkilled):
+    process = harness.start(
+        "dppo", "experiment", "keep", str(unkilled), "--out", str(harness.folder / "grid")
+    )
+    assert process.wait() == 0, process.text
+    folder = harness.folder / "grid"
+    arms = json.loads((folder / "results.json").read_text())["environments"][ENV]["arms"]
+    best = arms["psi0"]["best_seed"]
+    words = ("--which", "newest", "--episodes", "3", "--fixed-start", "--json")
+    evaluation = harness.start("dppo", "eval", str(folder / best["run"]), *words)
+    assert evaluation.wait() == 0, evaluation.text
+    summary = json.loads(evaluation.text)["summary"]
+    for start in ("free", "fixed"):
+        assert best[start] == {
+            "mean": summary[start]["return_mean"], "std": summary[start]["return_std"]
+        }  # fmt: skip
+    again, _ = grid(harness)
+    assert again.wait() == 0, again.text
+    assert "training" not in again.text
+    assert hashes(folder) == hashes(unkilled)
+
+
 def test_a_folder_with_runs_of_other_settings_is_refused(harness, unkilled):
     (harness.folder / "grid").symlink_to(unkilled)
     process, _ = grid(harness, iterations=ITERATIONS + 1)
@@ -233,8 +255,12 @@ def test_a_grid_file_runs(harness):
     ("args", "words"),
     [
         ([], ["found nothing, expected a grid", "usage: dppo experiment table2"]),
-        (["nowhere.toml"], ["nowhere.toml is not a readable TOML file", "or table2, or report"]),
+        (
+            ["nowhere.toml"],
+            ["is not a readable TOML file", "or table2, report or keep"],
+        ),
         (["report", "nowhere"], ["nowhere holds no plan.json"]),
+        (["keep", "nowhere", "--out", "kept"], ["nowhere holds no plan.json"]),
         (["nowhere.toml", "--", "--psi", "1"], ["only table2 takes learner flags"]),
         (["table2", "--seeds", "0"], ["--seeds is 0, expected >= 1"]),
         (["table2", "--jobs", "-1"], ["--jobs is -1, expected >= 0"]),

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from dppo.experiment.significance import ratio
-from tests.experiment_folders import PLAIN, SAFE, evaluated, leave, planned, report_of, whole_grid
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """See `whole_grid`."""
-    return whole_grid(tmp_path_factory.mktemp("whole"))
+from tests.experiment_folders import PLAIN, SAFE, evaluated, leave, planned, report_of
 
 
 @pytest.mark.parametrize("start", ["free", "fixed"])

@@ -15,14 +15,7 @@ from tests.experiment_folders import (
     leave,
     planned,
     report_of,
-    whole_grid,
 )
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """See `whole_grid`."""
-    return whole_grid(tmp_path_factory.mktemp("whole"))
 
 
 def test_table_2_stands_beside_the_papers_with_a_judgement_from_intervals(whole):
