@@ -29,7 +29,7 @@ class Pairs(LocalWorkers):
 
     def wait(self) -> None:
         """Until all have ended by themselves."""
-        for child in self._children.values():
+        for child in filter(None, self._children.values()):
             child.process.wait(timeout=60)
 
     def _spawn(self, index: int, restart: int) -> _Child:

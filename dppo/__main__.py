@@ -165,6 +165,7 @@ def _replay(args: ReplayArgs) -> int:
         UsageError: there is no run, or its replay is there already.
     """
     from dppo.errors import UsageError
+    from dppo.process import own_program
 
     run = Path(args.run)
     out = Path(args.out) if args.out else run / "replay"
@@ -178,7 +179,7 @@ def _replay(args: ReplayArgs) -> int:
     words = {"config": run / "config.json", "replay": run, "run-dir": out}
     flags = [word for name, value in words.items() for word in (f"--{name}", str(value))]
     flags += ["--local-workers", str(args.local_workers)]
-    os.execv(sys.executable, [sys.executable, "-m", "learner", *flags])
+    os.execv(sys.executable, own_program("learner", *flags))
 
 
 def _bench(args: BenchArgs) -> int:

@@ -11,7 +11,6 @@ import os
 import select
 import struct
 import subprocess
-import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -20,6 +19,8 @@ from typing import Any
 
 from numpy.typing import NDArray
 from safetensors.numpy import load, save
+
+from dppo.process import own_program
 
 _LENGTHS = struct.Struct("<QQ")
 _READ_BYTES = 1 << 18
@@ -45,7 +46,7 @@ class Child:
         """Start it and give it its task."""
         self._number, self._received, self.has_finished = number, bytearray(), False
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module],
+            own_program(module),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             start_new_session=True,

@@ -55,7 +55,9 @@ class Statistics:
     def obs_normalizer(self, config: RolloutConfig) -> "ObsNormalizer":
         """How the networks see observations; as they are before any were seen."""
         size = len(self.obs.mean)
-        if config.normalize_obs == "off" or self.obs.count == 0:
+        if config.normalize_obs == "off":
+            return ObsNormalizer(np.zeros(size), np.ones(size), np.inf)
+        if self.obs.count == 0:
             return ObsNormalizer(np.zeros(size), np.ones(size), config.clip_obs)
         std = self.obs.std(floor=0)
         paper = config.normalize_obs == "paper"
@@ -71,10 +73,18 @@ class Statistics:
                 gamma = config.returns.gamma
                 return 1 - gamma if gamma < 0.999 else 1.0
             case "running-std":
-                return 1 / float(self.returns.std(floor=1e-4)[0])
+                return 1 / self._returns_std()
+
+    def _returns_std(self) -> float:
+        return float(self.returns.std(floor=1e-4)[0])
 
     def sigma_scale(self, config: Config) -> float:
-        """What the variance network's output is multiplied by, in (c · reward)²."""
+        """What the variance network's output is multiplied by, in (c · reward)².
+
+        The standard deviation of σ's targets; before there are any, the variance of the returns.
+        """
+        if self.sigma_target.count == 0:
+            return self._returns_std() ** 2 * self.sigma_unit(config)
         return float(self.sigma_target.std(floor=1e-12)[0]) * self.sigma_unit(config)
 
     def sigma_unit(self, config: Config) -> float:

@@ -3,12 +3,14 @@
 import contextlib
 import ctypes.util
 import importlib.util
+import io
 import logging
 import math
 import os
 import signal
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
@@ -28,6 +30,8 @@ was sent and no end of a parent was seen. It costs nothing while no other thread
 """
 
 
+_PR_SET_PDEATHSIG = 1
+"""From Linux's sys/prctl.h."""
 _TIDY_SECONDS = 10.0
 """A command that has been told to end has so long before a further signal ends it at once."""
 
@@ -77,11 +81,25 @@ def give_back_memory() -> None:
         trim(0)
 
 
+def end_with_parent() -> None:
+    """Let the system kill this process when its parent ends, where it can (Linux).
+
+    Whatever this process does then: an environment that never gives back the interpreter, too.
+    """
+    with contextlib.suppress(AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
 def usable_cores() -> int:
     """Cores this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def own_program(module: str, *words: str) -> list[str]:
+    """Command line of a module of ours; a file of its name in the current folder is not it."""
+    return [sys.executable, "-P", "-m", module, *words]
 
 
 def parse(kind: type[Args], argv: list[str], program: str, default: Args | None = None) -> Args:
@@ -135,16 +153,10 @@ def leave(work: Callable[[], int]) -> NoReturn:
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as it is behind nohup and &
         signal.signal(signal.SIGINT, ending.arrived)
     sys.setswitchinterval(_SWITCH_SECONDS)
-    try:
-        code = work()
-    except UsageError as error:
-        code = _say(error, 2)
-    except DppoError as error:
-        code = _say(error, 1)
-    except (KeyboardInterrupt, Terminated, BrokenPipeError):
-        code = 0
-    except OSError as error:
-        code = _say(error, 1)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # it may know neither σ nor ψ
+            stream.reconfigure(errors="replace")
+    code = _exit_code(work)
     ending.begin()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):  # a pipe that nobody reads, a file on a full disk
@@ -152,6 +164,21 @@ def leave(work: Callable[[], int]) -> NoReturn:
     os._exit(code)
 
 
+def _exit_code(work: Callable[[], int]) -> int:
+    try:
+        return work()
+    except UsageError as error:
+        return _say(error, 2)
+    except (DppoError, OSError) as error:
+        return 0 if isinstance(error, BrokenPipeError) else _say(error, 1)
+    except (KeyboardInterrupt, Terminated):
+        return 0
+    except Exception:
+        traceback.print_exc()  # a bug of ours; the interpreter would now wait for all threads
+        return 1
+
+
 def _say(error: Exception, code: int) -> int:
-    print(f"error: {error}", file=sys.stderr)
+    with contextlib.suppress(OSError):  # nobody takes it; the exit code says it
+        print(f"error: {error}", file=sys.stderr)
     return code

@@ -49,19 +49,27 @@ class _Usual:
         return size > _NEVER or (known and size > max(WILD * self.median, 10 * self.confirmed))
 
 
+@dataclass(frozen=True, slots=True)
+class _Refused:
+    """One answer: from whom, about which slots."""
+
+    worker: str
+    slots: tuple[int, ...]
+
+
 @dataclass(slots=True)
 class _Memory:
     """Whose answers about which slots were refused in one round."""
 
     round: RoundId | None = None
-    workers: dict[int, str] = field(default_factory=dict)
+    refused: dict[int, _Refused] = field(default_factory=dict)
 
-    def of(self, round_id: RoundId) -> dict[int, str]:
-        """Slot to worker; empty in a new round."""
+    def of(self, round_id: RoundId) -> dict[int, _Refused]:
+        """By slot; empty in a new round."""
         if round_id != self.round:
             self.round = round_id
-            self.workers.clear()
-        return self.workers
+            self.refused.clear()
+        return self.refused
 
 
 @dataclass(slots=True)
@@ -90,7 +98,9 @@ class Quarantine:
             if size > 0:  # nothing was measured, e.g. no episode began
                 self._usual.setdefault(name, _Usual()).note(size)
         refused = self._answers.of(round_id)
-        refuted = {refused.pop(slot) for slot in slots if slot in refused} if refused else set()
+        refuted = (
+            {refused.pop(slot).worker for slot in slots if slot in refused} if refused else set()
+        )
         self._refuted.update(refuted)
         return sorted(worker for worker in refuted if self._refuted[worker] >= BENCHED)
 
@@ -110,15 +120,19 @@ class Quarantine:
     def confirm(self, sizes: Mapping[str, float], slots: Iterable[int], round_id: RoundId) -> None:
         """A wild answer has come out twice: nobody is to blame, and such sizes may come again."""
         refused = self._answers.of(round_id)
-        for slot in slots:
-            refused.pop(slot, None)
+        for answer in [refused[slot] for slot in slots if slot in refused]:
+            for slot in answer.slots:  # the rest of it may come from others, and is as it was
+                refused.pop(slot, None)
         for name, size in sizes.items():
             usual = self._usual.setdefault(name, _Usual())
             if usual.is_wild(size):
                 usual.confirmed = size
 
-    def _again(self, refused: dict[int, str], worker: str, slots: Iterable[int]) -> str | None:
-        before = next((refused[slot] for slot in slots if slot in refused), None)
-        for slot in slots:
-            refused.setdefault(slot, worker)
+    def _again(
+        self, refused: dict[int, _Refused], worker: str, slots: Iterable[int]
+    ) -> str | None:
+        answer = _Refused(worker, tuple(slots))
+        before = next((refused[slot].worker for slot in answer.slots if slot in refused), None)
+        for slot in answer.slots:
+            refused.setdefault(slot, answer)
         return before

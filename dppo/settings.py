@@ -139,7 +139,7 @@ class SafetyConfig:
     variance_limit: float = math.inf
     """Bound on the mean of σ(s_0); ψ follows by dual steps from psi; inf: none [reward²]."""
     variance_limit_rate: float = 0.05
-    """Change of ψ per iteration and unit of relative violation [units of ψ]."""
+    """Change of ψ in an iteration with new episodes, per unit of relative violation [ψ]."""
     adv_norm: Literal["separate", "joint", "none"] = "separate"
     """How A_V and A_σ meet: each standardised [ψ: 1], their sum, or raw [ψ: 1/scaled reward]."""
     sigma_head: Literal["softplus", "linear"] = "softplus"

@@ -15,7 +15,7 @@ _MOSTLY = 0.9
 _AGAIN = 2.0
 """What ended well once may take so many times as long."""
 _FORGOTTEN = 0.999
-"""Share of it that is remembered at the next sign of life."""
+"""Share of it that is remembered when the next question has been answered."""
 
 
 @dataclass(slots=True)
@@ -43,13 +43,13 @@ class Watch:
     def hear(self, worker: str, now: float, done: int | None = None) -> None:
         """Something came from a worker: an answer, or the count of what it has done."""
         signs = self._of(worker, now)
-        self._longest_silent = max(_FORGOTTEN * self._longest_silent, now - signs.heard)
+        self._longest_silent = max(self._longest_silent, now - signs.heard)
         if done is not None:
             self.pulse.note(now - signs.heard)
         signs.heard = now
         if done == signs.done:
             return
-        self._longest_still = max(_FORGOTTEN * self._longest_still, now - signs.moved)
+        self._longest_still = max(self._longest_still, now - signs.moved)
         if done is not None:
             self.patience.note(now - signs.moved)
             signs.done = done
@@ -76,9 +76,11 @@ class Watch:
         return stalled
 
     def calm(self) -> None:
-        """Nobody is waited for any more: as patient as before."""
+        """A question was answered, nobody is waited for any more: as patient as before."""
         self.patience.calm()
         self.pulse.calm()
+        self._longest_still *= _FORGOTTEN
+        self._longest_silent *= _FORGOTTEN
 
     def _stalls(self, worker: str, now: float) -> bool:
         signs = self._of(worker, now)

@@ -28,6 +28,8 @@ _ALIASES = {
     "-n": "--total-timesteps",
 }
 _RESULT_SECONDS = 3.0
+_SETUP_SECONDS = 60.0
+"""A worker that makes its environments may be silent for so long."""
 _WHOLE_NUMBERS = ("--total-timesteps", "--stop-at")
 
 
@@ -117,14 +119,15 @@ def _become_supervisor(config: Config, args: ProcessArgs, arguments: list[str]) 
 
     Folder and address are settled here, so that every start has the same ones.
     """
+    from dppo.process import own_program
     from dppo.store.run_directory import default_path
     from learner.arguments import listening_address
 
     path = args.run_dir or str(default_path(config, args.name))
     address = listening_address(args.listen, args.insecure)
     settled = ["--run-dir", path, "--listen", address]
-    program = [sys.executable, "-m", "learner.supervisor", str(args.restarts)]
-    os.execv(sys.executable, [*program, *arguments, *settled])
+    program = own_program("learner.supervisor", str(args.restarts), *arguments, *settled)
+    os.execv(sys.executable, program)
 
 
 def _train(config: Config, args: ProcessArgs, supervisor: int | None) -> int:
@@ -150,7 +153,8 @@ def _train(config: Config, args: ProcessArgs, supervisor: int | None) -> int:
     count = args.local_workers
     if count < 0:
         count = min(usable_cores(), config.rollout.slots)
-    workers = LocalWorkers(link, count, args.verbose)
+    most_silent = _SETUP_SECONDS + 10 * args.patience
+    workers = LocalWorkers(link, count, args.verbose, most_silent)
 
     def look_after() -> None:
         signals.check()

@@ -205,7 +205,10 @@ class Chief:
         """On to the next iteration: statistics and episodes merged in slot order."""
         state, statistics = self.state, self.state.statistics
         for answer in collected:
-            statistics = statistics.merge(_statistics(answer))
+            found = _statistics(answer)
+            if state.iteration == 0:  # σ's targets have no scale yet: decision 0009
+                found = replace(found, sigma_target=Moments.empty(1))
+            statistics = statistics.merge(found)
         episodes = [answer.episodes.reshape(-1, 2) for answer in collected]
         self.state = replace(
             state.with_episodes(np.concatenate(episodes)),

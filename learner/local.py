@@ -2,13 +2,14 @@
 
 import contextlib
 import logging
+import math
 import socket
 import subprocess
-import sys
 import time
 from dataclasses import dataclass, field
 
 from dppo.errors import RunFailedError
+from dppo.process import own_program
 from dppo.wire.socket_links import SocketLearnerLink
 
 log = logging.getLogger("learner")
@@ -21,6 +22,8 @@ _MOST_YOUNG_DEATHS = 20
 _END_SECONDS = 3.0
 _END_LOOK_SECONDS = 0.02
 _LOOK_SECONDS = 0.2
+_AGAIN_SECONDS = 5.0
+"""Until the next attempt, where the machine has no room for a process."""
 
 
 def free_address() -> str:
@@ -35,22 +38,28 @@ class _Child:
     name: str
     process: subprocess.Popen[bytes]
     born: float
+    silent: float = 0.0
+    """Since it was last heard, as long as this process listened [s]."""
 
 
 @dataclass(slots=True)
 class LocalWorkers:
     """`count` worker processes, each on a pair of sockets with this one. They die with it.
 
-    However this process ends, kill -9 included, they see their socket's other end gone and exit;
-    one that is stopped just then does so when it is continued.
+    However this process ends, kill -9 included, the system ends them, too; where it cannot, they
+    see their socket's other end gone and exit.
     """
 
     link: SocketLearnerLink
     count: int
     verbose: bool
-    _children: dict[int, _Child] = field(default_factory=dict)
+    most_silent: float = math.inf
+    """One of which nothing was heard for so long is replaced: it may hang before it joins [s]."""
+    _children: dict[int, _Child | None] = field(default_factory=dict)
+    """None: there is no room for it now."""
     _young_deaths: int = 0
     _spawned: int = 0
+    _looked: float = 0.0
     _look_again: float = 0.0
 
     def start(self) -> None:
@@ -68,20 +77,38 @@ class LocalWorkers:
         if now < self._look_again:
             return  # asked in every round, which may be a thousand times a second
         self._look_again = now + _LOOK_SECONDS
+        passed, self._looked = min(now - self._looked, 2 * _LOOK_SECONDS), now
         for index, child in self._children.items():
-            died = child.process.poll()
-            if self.link.was_cut(child.name):  # it may be unable to end by itself
-                log.warning("local worker %d was given up; starting another in its place", index)
-                _kill(child.process)
-            elif died is not None:
-                self._count_death(index, child, died)
-            else:
-                if time.monotonic() - child.born > _TROUBLE_SECONDS:
-                    self._young_deaths = 0
-                continue
-            self.link.forget(child.name)
+            if child is not None:
+                if self._is_well(index, child, passed):
+                    continue
+                self.link.forget(child.name)
+                self._children[index] = None
             self._spawned += 1
-            self._children[index] = self._spawn(index, self._spawned)
+            try:
+                self._children[index] = self._spawn(index, self._spawned)
+            except OSError as error:
+                self._look_again = now + _AGAIN_SECONDS
+                log.warning(
+                    "local worker %d cannot be started: %s; it is tried again every %g s",
+                    index, error, _AGAIN_SECONDS,
+                )  # fmt: skip
+
+    def _is_well(self, index: int, child: _Child, passed: float) -> bool:
+        """Does it live, and was it heard? One that cannot end by itself is ended."""
+        child.silent = 0.0 if self.link.has_spoken(child.name) else child.silent + passed
+        if (died := child.process.poll()) is not None:
+            self._count_death(index, child, died)
+            return False
+        why = "was given up" if self.link.was_cut(child.name) else ""
+        if child.silent > self.most_silent:
+            why = f"has said nothing for {child.silent:.0f} s"
+        if why:
+            log.warning("local worker %d %s; starting another in its place", index, why)
+            _kill(child.process)
+        elif time.monotonic() - child.born > _TROUBLE_SECONDS:
+            self._young_deaths = 0
+        return not why
 
     def _count_death(self, index: int, child: "_Child", code: int) -> None:
         log.warning("local worker %d died with exit code %d; starting another", index, code)
@@ -99,7 +126,7 @@ class LocalWorkers:
         """End all of them, within three seconds."""
         until = time.monotonic() + _END_SECONDS
         self.link.let_go()
-        processes = [child.process for child in self._children.values()]
+        processes = [child.process for child in self._children.values() if child is not None]
         while time.monotonic() < until and any(process.poll() is None for process in processes):
             time.sleep(_END_LOOK_SECONDS)
         for process in processes:
@@ -109,23 +136,20 @@ class LocalWorkers:
     def _spawn(self, index: int, restart: int) -> _Child:
         name = f"local-{index}" + (f"-{restart}" if restart else "")
         inherited = self.link.adopt(name)
-        command = [
-            sys.executable,
-            "-m",
-            "workers",
-            "--socket",
-            *(str(descriptor) for descriptor in inherited.descriptors),
-            "--name",
-            name,
-            "--verbose" if self.verbose else "--no-verbose",
-        ]
-        process = subprocess.Popen(
-            command,
-            stdin=subprocess.DEVNULL,
-            pass_fds=inherited.descriptors,
-            start_new_session=True,
-        )
-        inherited.close()
+        descriptors = map(str, inherited.descriptors)
+        verbose = "--verbose" if self.verbose else "--no-verbose"
+        try:
+            process = subprocess.Popen(
+                own_program("workers", "--socket", *descriptors, "--name", name, verbose),
+                stdin=subprocess.DEVNULL,
+                pass_fds=inherited.descriptors,
+                start_new_session=True,
+            )
+        except OSError:
+            self.link.forget(name)
+            raise
+        finally:
+            inherited.close()
         return _Child(name, process, time.monotonic())
 
 

@@ -1,7 +1,6 @@
 """Who takes part: workers join, are watched, and leave; their slots go to others at once."""
 
 import logging
-import re
 from collections import Counter
 from collections.abc import Callable
 
@@ -116,9 +115,6 @@ class Members:
         Raises:
             SupersededError: it has served a later learner of this run.
         """
-        if not re.fullmatch(r"[A-Za-z0-9-]{1,64}", hello.worker):
-            log.warning("ignored a worker called %r: letters, digits and '-' only", hello.worker)
-            return
         check_served(hello, self._welcome)
         self._told.pop(hello.worker, None)
         if hello.worker in self._leases.workers:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 from dppo.spaces import Spaces
 from dppo.wire.messages import Hello, Ready
+from learner.soundness import odd_sizes
 
 log = logging.getLogger("learner")
 
@@ -37,6 +38,8 @@ class Roster:
 
     def admit(self, ready: Ready) -> str:
         """Compare a worker's environment with the first one's; the objection, or empty."""
+        if odd := odd_sizes(ready):
+            return f"{self.describe(ready.worker)} {odd}"
         if self.first is None:
             self.first = ready
         first = self.first

@@ -119,17 +119,22 @@ def _taken_up(
 ) -> GrowingFile:
     """A file of JSON lines without those of iterations beyond `iteration`; `keep` gets the others.
 
-    Lines are in the order of their iterations. What is torn ends the file.
+    Lines are in the order of their iterations. What is torn at the end is cut off; what cannot be
+    read before other lines was damaged later, and stays.
     """
-    size, ends = 0, True
+    size, place, ends, odd, damaged = 0, 0, True, 0, 0
     with contextlib.ExitStack() as stack:
         for line in stack.enter_context(path.open("rb")) if path.exists() else ():
-            row = _parsed(line)
-            if not ends or row is None or row["iteration"] > iteration:
+            row, place = _parsed(line), place + len(line)
+            if row is None:
+                odd += 1
+                continue
+            if row["iteration"] > iteration:
                 break
-            size += len(line)
+            size, ends, damaged = place, line.endswith(b"\n"), odd
             keep(row)
-            ends = line.endswith(b"\n")
+    if damaged:
+        log.warning("%s has %d lines that cannot be read; they stay", path, damaged)
     file = disk.file(path.name, size)
     if not ends:
         file.write(b"\n")

@@ -1,5 +1,6 @@
 """Checkpoints beside the training: a disk that fails or is slow costs checkpoints, not the run."""
 
+import contextlib
 import errno
 import logging
 import time
@@ -58,8 +59,11 @@ class Saving:
         self._was_slow = False
 
     def resumed(self, state: State) -> None:
-        """The run goes on from this state's checkpoint."""
+        """The run goes on from this state's checkpoint; it may have been the best, unmarked."""
         self._newest, self._best_mean = state.iteration, state.best_mean
+        if len(state.episodes) and state.mean_return == state.best_mean:
+            name = name_of(state.iteration)
+            self._disk.run(lambda: self._mark(name, state.best_mean))
 
     def unsaved(self, iteration: int) -> int:
         """Iterations that a crash at the start of `iteration` would cost."""
@@ -149,6 +153,10 @@ class Saving:
             mark_best(self._folder, name, mean)
         self._best_mean = judged.best_mean
         prune(self._folder, self._keep)
+
+    def _mark(self, name: str, mean: float) -> None:
+        with contextlib.suppress(OSError):  # a disk that fails is told of at the next checkpoint
+            mark_best(self._folder, name, mean)
 
 
 def _advice(failure: OSError) -> str:

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 from dppo.gradients import Sums
 from dppo.spaces import Spaces
 from dppo.sums import Block, members
-from dppo.wire.messages import Answer, Collected, Gradient, Measured
+from dppo.wire.messages import Answer, Collected, Gradient, Measured, Ready
 
 _WEIGHTS = 3
 """The first of `Sums`: samples."""
+_MOST_SIZES = 1 << 24
+"""Observations and actions together; more parameters than memory holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +43,10 @@ class Expected:
                 return "sent a Measured over no samples"
             case Collected() if not _is_whole(answer.snapshot):
                 return "sent a Collected whose snapshot is damaged"
+            case Collected() if any(
+                _squares(one).min(initial=0.0) < 0 for one in _moments(answer).values()
+            ):
+                return "sent a Collected with a sum of squares below 0"
         return ""
 
     def _lengths(self, answer: Answer) -> dict[str, int]:
@@ -62,10 +68,23 @@ class Expected:
             case Gradient():
                 return [(float(n), 2 * answer.size * self.samples) for n in answer.sums[:_WEIGHTS]]
             case Collected():
-                vectors = (answer.obs, answer.returns, answer.advantages)
-                return [(float(vector[0]), self.samples) for vector in vectors]
+                once = ("observation", "return", "advantage")
+                return [
+                    (float(vector[0]), self.samples if name in once else 2 * self.samples)
+                    for name, vector in _moments(answer).items()
+                ]
             case Measured():
                 return [(answer.weight, self.samples)]
+
+
+def odd_sizes(ready: Ready) -> str:
+    """What cannot be right in a worker's report of its environment, in words; empty: nothing."""
+    if ready.action_kind not in ("box", "discrete"):
+        return f"sent a Ready with actions of the kind {ready.action_kind[:40]!r}"
+    sizes_ = (ready.obs_size, *ready.action_sizes)
+    if not ready.action_sizes or min(sizes_) < 1 or sum(sizes_) > _MOST_SIZES:
+        return f"sent a Ready with the sizes {sizes_[:8]}, expected numbers from 1 up"
+    return ""
 
 
 def _is_whole(snapshot: bytes) -> bool:
@@ -74,9 +93,9 @@ def _is_whole(snapshot: bytes) -> bool:
     try:
         header = json.loads(snapshot[8:start])
         ends = [entry["data_offsets"][1] for entry in header.values() if "dtype" in entry]
-    except (ValueError, KeyError, TypeError, AttributeError, IndexError):
+        return bool(start + max(ends, default=0) == len(snapshot))
+    except (ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return False
-    return start + max(ends, default=0) == len(snapshot)
 
 
 def sizes(answer: Answer) -> dict[str, float]:
@@ -94,14 +113,23 @@ def _sizes(answer: Answer) -> dict[str, float]:
                 "loss per sample": _norm(answer.sums) / weight,
             }
         case Collected():
-            moments = {
-                "observation": answer.obs, "return": answer.returns, "sigma": answer.start_sigma,
-                "advantage": answer.advantages, "fit": answer.fit, "target": answer.sigma_target,
-            }  # fmt: skip
-            found = {name: _greatest(vector) for name, vector in moments.items()}
+            found = {name: _greatest(vector) for name, vector in _moments(answer).items()}
             return found | {"episode": 0.0 * float(answer.episodes.sum())}  # of any size
         case Measured():
             return {"KL per sample": abs(answer.kl) / max(answer.weight, 1.0)}
+
+
+def _moments(answer: Collected) -> dict[str, NDArray[np.float64]]:
+    """Counts, means and sums of squares, by what they are of."""
+    return {
+        "observation": answer.obs, "return": answer.returns, "sigma": answer.start_sigma,
+        "advantage": answer.advantages, "fit": answer.fit, "target": answer.sigma_target,
+    }  # fmt: skip
+
+
+def _squares(moments: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The sums of squared deviations among some moments."""
+    return moments[1 + (len(moments) - 1) // 2 :]
 
 
 def _norm(vector: NDArray[np.floating]) -> float:
@@ -112,8 +140,8 @@ def _norm(vector: NDArray[np.floating]) -> float:
 
 def _greatest(moments: NDArray[np.float64]) -> float:
     """The greatest root mean square among the features of some moments."""
-    size = (len(moments) - 1) // 2
-    mean, m2 = moments[1 : 1 + size], moments[1 + size :]
+    m2 = _squares(moments)
+    mean = moments[1 : 1 + len(m2)]
     return float(np.sqrt(np.max(mean**2 + m2 / max(moments[0], 1.0))))
 
 

@@ -4,10 +4,12 @@ It loads nothing but the standard library, so it stays small beside what it guar
 its child, in a session of its own: Ctrl-C reaches it only from here. It is told this process's id
 and stops by itself, with a checkpoint, when it has another parent: kill -9 leaves nothing behind.
 
-A learner that ends with 0 (finished, stopped) or 2 (wrong usage: it would end so again) is not
-started again; one that a signal ended or that failed is, up to N times in all.
+A learner that ends with 0 (finished, stopped) is not started again, nor one whose first start ends
+with 2 (wrong usage: it would end so again); one that a signal ended or that failed is, up to N
+times in all. So is a restart that ends with 2: the usage was right, something else is in the way.
 """
 
+import contextlib
 import os
 import signal
 import subprocess
@@ -17,12 +19,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from dppo.backoff import Backoff
+from dppo.process import own_program
 from dppo.signals import Signals
 
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 30.0
 _LONG_LIFE = 60.0
 """After so many seconds of life a death is not of a series: the pauses begin anew."""
-_FINAL = (0, 2)
 
 
 @dataclass(slots=True)
@@ -36,12 +38,15 @@ class Supervision:
 
     def pause_after(self, code: int, lived: float) -> float | None:
         """Seconds until the next start, after exit code or minus signal; None: there is none."""
-        if code in _FINAL or self.used >= self.restarts:
+        if self._is_final(code) or self.used >= self.restarts:
             return None
         if lived >= _LONG_LIFE:
             self._backoff.again()
         self.used += 1
         return self._backoff.next()
+
+    def _is_final(self, code: int) -> bool:
+        return code == 0 or (code == 2 and self.used == 0)
 
     def sentence(self, code: int, lived: float, pause: float | None) -> str:
         """What happened, and what happens now; empty if the learner has said it itself."""
@@ -53,7 +58,7 @@ class Supervision:
                 f"{what}; starting it again in {pause:.1f} s, restart {self.used} of "
                 f"{self.restarts}, {left} left"
             )
-        if code in _FINAL:
+        if self._is_final(code):
             return ""
         return (
             f"{what}; no restart is left of --restarts {self.restarts}: see above for the cause; "
@@ -86,8 +91,7 @@ def supervise(command: Sequence[str], again: Sequence[str], restarts: int) -> in
         lived = time.monotonic() - begun
         pause = supervision.pause_after(code, lived)
         if sentence := supervision.sentence(code, lived, pause):
-            sys.stderr.write(f"supervisor: {sentence}\n")
-            sys.stderr.flush()
+            _say(sentence)
         if pause is None:
             return exit_code(code)
         if (number := signals.next_request(pause)) is not None:
@@ -99,9 +103,16 @@ def _start(words: Sequence[str], signals: Signals) -> tuple[int, bool]:
     try:
         child = subprocess.Popen(words, stdin=subprocess.DEVNULL, start_new_session=True)
     except OSError as error:
-        sys.stderr.write(f"supervisor: the learner cannot be started: {error}\n")
+        _say(f"the learner cannot be started: {error}")
         return 1, False
     return _watch(child, signals)
+
+
+def _say(sentence: str) -> None:
+    """To stderr, if anybody takes it: a full disk or a closed pipe must not end the guard."""
+    with contextlib.suppress(OSError):
+        sys.stderr.write(f"supervisor: {sentence}\n")
+        sys.stderr.flush()
 
 
 def _watch(child: subprocess.Popen[bytes], signals: Signals) -> tuple[int, bool]:
@@ -123,7 +134,7 @@ def _watch(child: subprocess.Popen[bytes], signals: Signals) -> tuple[int, bool]
 def main() -> None:
     """`python -m learner.supervisor N arguments of dppo-learner ...`: not for people."""
     restarts, arguments = int(sys.argv[1]), sys.argv[2:]
-    command = [sys.executable, "-m", "learner", "--supervised", str(os.getpid()), *arguments]
+    command = own_program("learner", "--supervised", str(os.getpid()), *arguments)
     sys.exit(supervise(command, ["--resume", "auto"], restarts))
 
 

@@ -50,10 +50,12 @@ class _ChildArgs:
 
 
 def _serve_parent(args: _ChildArgs) -> int:
+    from dppo.process import end_with_parent
     from dppo.wire.socket_links import SocketWorkerLink
     from workers.envs import quiet
     from workers.membership import Member
 
+    end_with_parent()
     link = SocketWorkerLink(args.socket, orphaned=lambda: os._exit(0))
     quiet()
     Member(args.name, link, float("inf")).live()

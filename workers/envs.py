@@ -4,6 +4,7 @@ import difflib
 import hashlib
 import json
 import logging
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -52,6 +53,8 @@ def make_env(config: RunConfig) -> Env:
         near = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
         hint = f"did you mean {', '.join(near)}?" if near else "see gymnasium.registry"
         raise UsageError(f"--env is {config.env!r}, which Gymnasium does not know; {hint}")
+    if ":" in config.env and (here := str(Path.cwd())) not in sys.path:
+        sys.path.append(here)  # last: nothing there takes the place of what is installed
     try:
         return _make(config.env, json.loads(config.env_kwargs))
     except Exception as error:  # an environment's constructor may raise anything

@@ -108,7 +108,7 @@ class Worker:
         for index, (_, facts), (experience, kept, critics) in zip(
             task.slots, collected, prepared, strict=True
         ):
-            if self._config.update.critic_replay:
+            if self._config.update.critic_replay and task.iteration > 0:  # it had no scales
                 slots.replays[index] = kept
             self._experiences[index] = experience
             self._complete.discard(index)

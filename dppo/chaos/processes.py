@@ -8,10 +8,11 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
+
+from dppo.process import own_program
 
 MARK = "DPPO_DRILL"
 _PAGE = os.sysconf("SC_PAGE_SIZE")
@@ -79,7 +80,7 @@ class Child:
         output = folder / f"{name}.txt"
         with output.open("ab") as file:
             popen = subprocess.Popen(
-                [sys.executable, "-m", *words],
+                own_program(*words),
                 stdin=subprocess.DEVNULL,
                 stdout=file,
                 stderr=subprocess.STDOUT,

@@ -5,7 +5,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import IO
 from dppo.experiment.evaluation import evaluation_words, normalised
 from dppo.experiment.folder import Folder
 from dppo.experiment.schedule import Stage, Task
+from dppo.process import own_program
 
 _TRAINER = (
     "--local-workers", "1", "--listen", "auto", "--resume", "auto", "--keep-checkpoints", "2",
@@ -73,7 +73,7 @@ def start(folder: Folder, task: Task, episodes: int, now: float) -> Child:
     steps = folder.steps(task.run)
     with folder.log(task.run).open("ab") as log:
         popen = subprocess.Popen(
-            [sys.executable, "-m", *words],
+            own_program(*words),
             stdin=subprocess.DEVNULL,
             stdout=answer or log,
             stderr=log,
@@ -159,7 +159,7 @@ class Reporter:
             return
         self._said = tempfile.TemporaryFile()  # noqa: SIM115  lives as long as the process
         self._popen = subprocess.Popen(
-            [sys.executable, "-m", "dppo", "experiment", "report", str(self._folder)],
+            own_program("dppo", "experiment", "report", str(self._folder)),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=self._said,

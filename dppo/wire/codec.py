@@ -6,6 +6,7 @@ after the other. Nothing is looked up outside the closed table of messages, and 
 checked against the body before anything is allocated.
 """
 
+import re
 import struct
 import zlib
 from dataclasses import dataclass, fields
@@ -24,6 +25,8 @@ MAX_HEADER = 1 << 20
 MAX_BODY = 1 << 30
 """Bytes of the longest body."""
 _SEAL = struct.Struct("<I")
+_NAME = re.compile("[A-Za-z0-9-]{1,64}")
+"""Of a worker: part of a key of Zenoh's, where other characters have meanings."""
 
 _TYPES: dict[str, type[Message]] = {kind.__name__: kind for kind in get_args(Message)}
 _DTYPES: dict[Any, np.dtype[Any]] = {
@@ -106,6 +109,11 @@ def decode(frame: Frame) -> Message:
         start = stop
     if start != len(body):
         raise WireError(f"{kind.__name__} accounts for {start} of {len(body)} bytes of its body")
+    worker = decoded.get("worker", "-")
+    if not _NAME.fullmatch(worker):
+        raise WireError(
+            f"a {kind.__name__} of a worker called {worker[:80]!r}: letters, digits and '-' only"
+        )
     return kind(**decoded)
 
 

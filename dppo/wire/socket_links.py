@@ -35,6 +35,7 @@ class _Peer:
 
     channel: Channel
     unsent: list[memoryview] = field(default_factory=list)
+    has_spoken: bool = False
 
 
 class SocketLearnerLink:
@@ -109,6 +110,14 @@ class SocketLearnerLink:
         """Was this worker given up? Its process may still be there."""
         return name in self._cut
 
+    def has_spoken(self, name: str) -> bool:
+        """Did anything come from this worker since this was last asked?"""
+        peer = self._peers.get(name)
+        spoken = peer is not None and peer.has_spoken
+        if peer is not None:
+            peer.has_spoken = False
+        return spoken
+
     def let_go(self) -> None:
         """Close all pairs: the workers' processes end."""
         for name in list(self._peers):
@@ -133,6 +142,7 @@ class SocketLearnerLink:
             self._read(name, peer)
 
     def _read(self, name: str, peer: _Peer) -> None:
+        peer.has_spoken = True
         try:
             self._events.extend(decoded(frame) for frame in peer.channel.frames())
         except WireError as error:  # out of step: nothing behind it can be read

@@ -128,6 +128,8 @@ def open_connecting(address: str) -> zenoh.Session | None:
     opened = _opened_beside(_config("client", endpoints))
     if isinstance(opened, zenoh.Session):
         return opened
+    if not isinstance(opened, zenoh.ZError):
+        raise opened
     if "Unable to connect" in str(opened):
         return None
     raise UsageError(
@@ -136,17 +138,17 @@ def open_connecting(address: str) -> zenoh.Session | None:
     ) from opened
 
 
-def _opened_beside(config: zenoh.Config) -> zenoh.Session | zenoh.ZError:
+def _opened_beside(config: zenoh.Config) -> zenoh.Session | BaseException:
     """Open in another thread: with somebody who listens and never answers it takes ten seconds.
 
     In this thread no signal would be heard meanwhile.
     """
-    outcome: queue.SimpleQueue[zenoh.Session | zenoh.ZError] = queue.SimpleQueue()
+    outcome: queue.SimpleQueue[zenoh.Session | BaseException] = queue.SimpleQueue()
 
     def work() -> None:
         try:
             outcome.put(zenoh.open(config))
-        except zenoh.ZError as error:
+        except BaseException as error:  # a panic of Zenoh's, too: somebody waits for the outcome
             outcome.put(error)
 
     threading.Thread(target=work, daemon=True).start()

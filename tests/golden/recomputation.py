@@ -46,7 +46,7 @@ class Scales:
     @property
     def sigma(self):
         if not self.sigma_targets:
-            return 1.0
+            return (np.concatenate(self.returns).std() * self.reward) ** 2 if self.returns else 1.0
         return np.concatenate(self.sigma_targets).std() * self.reward**2
 
 
@@ -94,7 +94,7 @@ class Recomputation:
             [flat(e.variance_advantage) for e in estimates],
             PSI,
         )
-        self._note(iteration.rollouts, estimates)
+        self._note(number, iteration.rollouts, estimates)
         kl = reference.Kl(iteration.collect.beta, XI, self.run.config.kl.kl_target)
         redone = Redone(units, [], [start], [], 0.0, [])
         for update in range(UPDATES if number > 0 else 0):
@@ -174,7 +174,7 @@ class Recomputation:
             ]
         )
 
-    def _note(self, rollouts, estimates):
+    def _note(self, number, rollouts, estimates):
         """The iteration's discounted returns and targets of sigma, in raw reward."""
         scale = self.scales.reward
         targets = [flat(e.variance_target) / scale**2 for e in estimates]
@@ -186,7 +186,8 @@ class Recomputation:
                 running[:] = GAMMA * running + rollout.reward[t]
                 returns.append(running.copy())
         self.scales.returns += returns
-        self.scales.sigma_targets += targets
+        if number > 0:  # those of the first iteration are in no unit
+            self.scales.sigma_targets += targets
 
 
 def samples(array):

@@ -113,7 +113,9 @@ def test_every_iteration_uses_the_scales_of_those_before_it(both):
         # targets of sigma come from float32 networks
         assert statistics.sigma_scale(run.config) == pytest.approx(sigma, rel=1e-5)
         assert abs(reward - 1) > 0.01
-        assert abs(sigma - 1) > 0.01
+    assert redone[1].scales[1] == pytest.approx(1.0)  # the variance of scaled returns
+    assert all(abs(step.scales[1] - 1) > 0.01 for step in redone[2:])
+    assert len(redone) > 2
 
 
 def test_the_first_iteration_sees_raw_observations(both):

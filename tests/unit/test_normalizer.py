@@ -100,8 +100,11 @@ def test_sigma_has_the_unit_of_a_squared_scaled_reward():
     assert statistics.sigma_scale(scaled_by("off")) == 3.0
 
 
-def test_sigma_scale_before_any_target_is_that_of_the_reward():
-    assert seen(returns=[0.0, 4.0]).sigma_scale(scaled_by("running-std")) == 0.25
+def test_sigma_scale_before_any_target_is_the_variance_of_the_returns():
+    statistics = seen(returns=[0.0, 4.0])
+    assert statistics.sigma_scale(scaled_by("off")) == 4.0
+    assert statistics.sigma_scale(scaled_by("running-std")) == 1.0
+    assert Statistics.empty(1).sigma_scale(scaled_by("running-std")) == 1.0
 
 
 def test_constant_sigma_targets_keep_a_floor():
