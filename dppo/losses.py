@@ -67,8 +67,8 @@ class AdvantageStatistics:
     def stds(self) -> tuple[float, float, float]:
         """Standard deviations; that of A_σ is at least a thousandth of that of A_V, squared.
 
-        Both are reward², so the floor has no unit of its own. Without it, a variance that is all
-        but zero would be blown up to unit size.
+        Both are reward² (unless raw rewards feed δ of σ), so this floor has no unit. Without it, a
+        variance that is all but zero would be blown up to unit size.
         """
         v, sigma, joint = (float(std) for std in self.moments.std())
         return v, max(sigma, 1e-3 * v * v), joint

@@ -199,11 +199,11 @@ class Networks:
         """Learning-rate factor of log std.
 
         The paper's baseline moves log *variance* (10 h3) // 48 times as fast as the rest; log std
-        is half of that.
+        is half of that, and never nothing.
         """
         if config.log_std_rate > 0:
             return config.log_std_rate
-        return ((10 * self.policy.sizes[-2]) // 48) / 2
+        return max(1, (10 * self.policy.sizes[-2]) // 48) / 2
 
 
 def _hidden(config: NetworkConfig, obs: int, last: int) -> tuple[int, ...]:

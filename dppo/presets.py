@@ -34,7 +34,7 @@ def paper(env: str) -> Config:
     is 20 (5) slots of one environment and 1000 steps here: slots have fixed sizes.
     """
     base = default(env)
-    name = env.split("-")[0]
+    name = _kind(env)
     few = name == "HalfCheetah"
     policy_rate, critic_rate = _PAPER_RATES.get(name, (8.87e-5, 1.83e-3))
     return replace(
@@ -58,6 +58,12 @@ def paper(env: str) -> Config:
             log_std_rate=-1.0,
         ),
     )  # fmt: skip
+
+
+def _kind(env: str) -> str:
+    """Which of Table 2's environments this is, or a hazardous kin of it; empty: none."""
+    bare = env.rpartition(":")[2]
+    return next((kind for kind in _PAPER_PSI if bare.startswith(kind)), "")
 
 
 def authors_2019(env: str) -> Config:

@@ -178,6 +178,12 @@ def _exit_code(work: Callable[[], int]) -> int:
         return 1
 
 
+def say(text: str) -> None:
+    """One line, if anybody takes it: a full disk or a closed pipe costs the line, not the run."""
+    with contextlib.suppress(OSError):
+        print(text, flush=True)
+
+
 def _say(error: Exception, code: int) -> int:
     with contextlib.suppress(OSError):  # nobody takes it; the exit code says it
         print(f"error: {error}", file=sys.stderr)

@@ -22,7 +22,7 @@ times as large. What is damaged or invented is larger by far.
 BENCHED = 3
 """Refused answers that came out otherwise elsewhere, after which a worker is sent away."""
 _NEVER = 1e20
-"""Nothing is ever so large."""
+"""Nothing is so large, unless it comes out twice."""
 _NEWEST = 255
 _LEAST = 8
 _EVERY = 16
@@ -46,7 +46,8 @@ class _Usual:
 
     def is_wild(self, size: float) -> bool:
         known = len(self.sizes) >= _LEAST
-        return size > _NEVER or (known and size > max(WILD * self.median, 10 * self.confirmed))
+        usual = min(WILD * self.median, _NEVER) if known else _NEVER
+        return size > max(usual, 10 * self.confirmed)
 
 
 @dataclass(frozen=True, slots=True)

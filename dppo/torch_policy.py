@@ -142,7 +142,8 @@ class GaussianPolicy(PolicyModule):
         self.register_buffer("high", torch.from_numpy(bounds[1].copy()))
 
     def _noisy(self, output: Tensor, generator: torch.Generator | None) -> Tensor:
-        return output + self.std * torch.randn(output.shape, generator=generator)
+        noise = torch.randn(output.shape, generator=generator, device=output.device)
+        return output + self.std * noise
 
     def _mode(self, output: Tensor) -> Tensor:
         return torch.minimum(torch.maximum(output, self.low), self.high)
@@ -167,7 +168,9 @@ class CategoricalPolicy(PolicyModule):
         self.register_buffer("first", torch.from_numpy(first.copy()))
 
     def _noisy(self, output: Tensor, generator: torch.Generator | None) -> Tensor:
-        uniform = torch.rand(output.shape, generator=generator, dtype=torch.float64)
+        uniform = torch.rand(
+            output.shape, generator=generator, dtype=torch.float64, device=output.device
+        )
         gumbel = -torch.log(-torch.log(uniform.clamp_min(1e-300)))
         return output + gumbel.float()
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NoReturn
 
 from dppo.config import Config
+from dppo.process import say
 from dppo.settings import require
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ _WHOLE_NUMBERS = ("--total-timesteps", "--stop-at")
 
 @dataclass(frozen=True, kw_only=True)
 class ProcessArgs:
-    """Where defaults come from, and this process; nothing here but preset changes the result."""
+    """Where defaults come from, and this process; only preset, config, replay change results."""
 
     preset: Literal["default", "paper", "authors-2019", "heess2017"] = "default"
     """Recipe that sets all defaults; flags win over it."""
@@ -182,21 +183,19 @@ def _run(session: "Session", signals: "StopSignals", folder: "RunDirectory", sto
         result = _trained(session, stop_at)
     except SupersededError as error:
         raise folder.fence_off(error) from error
-    except RunFailedError as error:
+    except Exception as error:  # that of a run that cannot go on, or a bug of ours
         with contextlib.suppress(RunFailedError):  # the disk may be what failed
             session.save()
-        failed = session.interrupted()
-        if failed is not None:
+        if isinstance(error, RunFailedError) and (failed := session.interrupted()) is not None:
             _leave_result(folder, failed | {"status": "failed", "reason": str(error)})
         raise
     signals.restore()
     if result is None:
         return 0
     _leave_result(folder, result)
-    print(
+    say(
         f"{result['status']}: {result['env_steps']:,} steps, parameters_sha256 "
-        f"{result['parameters_sha256']}, see {folder.path / 'result.json'}",
-        flush=True,
+        f"{result['parameters_sha256']}, see {folder.path / 'result.json'}"
     )
     return 0
 
@@ -210,7 +209,7 @@ def _trained(session: "Session", stop_at: int) -> dict[str, object] | None:
     except Terminated:
         session.save()
         result = session.interrupted()
-        print("stopped; the same command with this --run-dir continues" if result else "stopped")
+        say("stopped; the same command with this --run-dir continues" if result else "stopped")
         return result
 
 
@@ -245,9 +244,9 @@ def _compared(session: "Session", original: "Original") -> int:
     done = 0 if session.state is None else session.state.iteration
     if done < len(original.iterations):
         whole = len(original.iterations)
-        print(f"stopped after {done} of {whole} iterations: not compared to the end", flush=True)
+        say(f"stopped after {done} of {whole} iterations: not compared to the end")
         return 1
-    print(original.verdict, flush=True)
+    say(original.verdict)
     return 0
 
 
@@ -279,20 +278,19 @@ def _announce(config: Config, path: Path, address: str, count: int) -> None:
     if address.startswith(("tcp/0.0.0.0:", "tcp/[::]:")):
         address = f"tcp/{socket.gethostname()}:{address.rpartition(':')[2]}"
     unit = "1" if config.safety.adv_norm == "separate" else "1/scaled reward"
-    print(
+    if unit != "1" and config.returns.delta_reward == "raw":
+        unit = "scaled reward/raw reward²"
+    say(
         f"training {config.run.env}: {config.iterations} iterations of "
         f"{config.rollout.samples} steps in {config.rollout.slots} slots, "
         f"psi {config.safety.psi:g} (adv-norm {config.safety.adv_norm}, unit {unit}), "
         f"seed {config.run.seed}\n"
-        f"run directory {path}; {count} local workers; others: dppo-worker --connect {address}",
-        flush=True,
+        f"run directory {path}; {count} local workers; others: dppo-worker --connect {address}"
     )
     if not config.rollout.exact_envs:
-        print("--no-exact-envs: after a loss or a resume this run is no longer exact", flush=True)
+        say("--no-exact-envs: after a loss or a resume this run is no longer exact")
     if config.iterations == 1:
-        print(
-            "one iteration only fills the shared statistics: nothing will be learned", flush=True
-        )
+        say("one iteration only fills the shared statistics: nothing will be learned")
 
 
 if __name__ == "__main__":

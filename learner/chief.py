@@ -129,8 +129,8 @@ class Chief:
             iteration=state.iteration,
             round=0,
             slots=self._slots,
-            psi=psi,
-            beta=state.beta,
+            psi=float(psi),  # settings made in Python may hold whole numbers
+            beta=float(state.beta),
             mean_reward=state.mean_reward,
             parameters=state.parameters,
             obs=state.statistics.obs.to_vector(),

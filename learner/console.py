@@ -1,10 +1,12 @@
 """What a person sees: a bar on a terminal, plain lines elsewhere."""
 
+import contextlib
 import sys
 import time
 from typing import Any
 
 from dppo.config import Config
+from dppo.process import say
 from learner.report import IterationReport
 
 _PLAIN_SECONDS = 1.0
@@ -22,23 +24,12 @@ class Console:
         if sys.stdout.isatty():
             self._start_bar(done_steps)
 
-    def say(self, text: str) -> None:
-        """One line, above the bar if there is one."""
-        if self._bar is not None:
-            self._bar.console.print(text, highlight=False)
-            return
-        try:
-            print(text, flush=True)
-        except BrokenPipeError:
-            raise  # nobody reads any more
-        except OSError:
-            pass  # the output is a file on a full disk: the line is lost, the run goes on
-
     def show(self, report: IterationReport, speed: float) -> None:
         """The newest iteration; `speed` in environment steps per second."""
         text = _line(report, speed)
         if self._bar is not None:
-            self._bar.update(self._task, completed=report.env_steps, figures=text)
+            with contextlib.suppress(OSError):
+                self._bar.update(self._task, completed=report.env_steps, figures=text)
             return
         now = time.monotonic()
         over = report.env_steps >= self._total
@@ -48,12 +39,13 @@ class Console:
         share = report.env_steps / self._total
         pace = (report.env_steps - self._begun_steps) / max(now - self._begun, 1e-9)
         left = _clock((self._total - report.env_steps) / max(pace, 1e-9))
-        self.say(f"{share:6.1%}  {report.env_steps:>10,} steps  left {left}  {text}")
+        say(f"{share:6.1%}  {report.env_steps:>10,} steps  left {left}  {text}")
 
     def close(self) -> None:
-        """Leave the terminal as it was."""
+        """Leave the terminal as it was, if it is still there."""
         if self._bar is not None:
-            self._bar.stop()
+            with contextlib.suppress(OSError):
+                self._bar.stop()
 
     def _start_bar(self, done_steps: int) -> None:
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn

@@ -15,7 +15,7 @@ from dppo.errors import UsageError
 from dppo.leases import Leases
 from dppo.networks import Networks
 from dppo.statistics import cvar
-from dppo.store.checkpoint import newest_checkpoint, sha256
+from dppo.store.checkpoint import Checkpoint, newest_checkpoint, sha256
 from dppo.store.contents import SNAPSHOT_FORM, check_snapshots
 from dppo.store.run_directory import RunDirectory
 from dppo.wire.links import LearnerLink
@@ -82,6 +82,8 @@ class Session:
     def train(self, stop_at: int) -> dict[str, object]:
         """Train to the end, or until `stop_at` environment steps; the contents of result.json."""
         checkpoint = newest_checkpoint(self._folder.checkpoints)
+        if checkpoint is not None and checkpoint.facts["env_steps"] >= self._all_steps:
+            return self._told_later(checkpoint)  # killed at the very end; the workers may be gone
         spaces = self._exchange.wait_for_environment()
         networks = Networks.build(spaces, self._config)
         self._exchange.expected = Expected(
@@ -96,18 +98,15 @@ class Session:
             self._check_environment(self._folder.read_json("config.json"), self._folder.path)
             check_snapshots(checkpoint)
             self.state = State.from_checkpoint(checkpoint)
+            self._exchange.exact = _was_exact(checkpoint)
             self._saving.resumed(self.state)
             log.warning(
                 "resuming at iteration %d of %d", self.state.iteration, self._config.iterations
             )
-        accounts = Accounts(self._config.rollout.slots)
-        runlog = RunLog(self._folder.path, self.state.iteration, self._disk, accounts.note)
-        self._ledger = Ledger(
-            self._config.rollout, runlog.note, self._deadlines, accounts, self._original
-        )
-        console = Console(self._config, self.state.iteration * self._config.rollout.samples)
+        ledger, runlog = self._take_up_logs(self.state.iteration)
+        console = Console(self._config, self._env_steps)
         try:
-            self._iterate(networks, self._ledger, runlog, console, stop_at)
+            self._iterate(networks, ledger, runlog, console, stop_at)
         finally:
             self._exchange.meanwhile.do()
             console.close()
@@ -115,6 +114,22 @@ class Session:
         finished = self.state.iteration >= self._config.iterations
         self._exchange.stop("the run is finished" if finished else "the learner pauses", finished)
         return self._result("finished" if finished else "stopped")
+
+    def _take_up_logs(self, iteration: int) -> tuple[Ledger, RunLog]:
+        """The run's files, where the state stands."""
+        rollout = self._config.rollout
+        accounts = Accounts(rollout.slots)
+        runlog = RunLog(self._folder.path, iteration, self._disk, accounts.note)
+        self._ledger = Ledger(rollout, runlog.note, self._deadlines, accounts, self._original)
+        return self._ledger, runlog
+
+    def _told_later(self, checkpoint: Checkpoint) -> dict[str, object]:
+        """The contents of result.json of a run that an earlier learner has brought to its end."""
+        self.state = State.from_checkpoint(checkpoint)
+        self._exchange.exact = _was_exact(checkpoint)
+        _, runlog = self._take_up_logs(self.state.iteration)
+        runlog.close()
+        return self._result("finished")
 
     def save(self) -> None:
         """Make sure, for a run that stops, that the newest whole iteration is on the disk.
@@ -166,6 +181,11 @@ class Session:
         console.show(report, speed)
 
     @property
+    def _all_steps(self) -> int:
+        """Environment steps of the whole run."""
+        return self._config.iterations * self._config.rollout.samples
+
+    @property
     def _env_steps(self) -> int:
         """Environment steps of the run so far."""
         return 0 if self.state is None else self.state.iteration * self._config.rollout.samples
@@ -185,6 +205,7 @@ class Session:
             "snapshots": SNAPSHOT_FORM,
             "run": self._run_id,
             "generation": self.generation,
+            "exact": self._exchange.exact,
         }
 
     def _spaces(self) -> dict[str, Any]:
@@ -264,3 +285,8 @@ class Session:
             "dropped_gradients": state.dropped_gradients,
             **self._ledger.accounts.figures(),
         }
+
+
+def _was_exact(checkpoint: Checkpoint) -> bool:
+    """No slot had lost a bit on a move; so of those that earlier versions wrote."""
+    return bool(checkpoint.facts.get("exact", True))

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from dppo.config import Config
+from dppo.process import say
 from dppo.store.ledger import IterationLine
 from learner import disk as disk_module
-from learner.console import Console
 from learner.disk import Disk, GrowingFile
 from learner.report import IterationReport
 from learner.runlog import RunLog
@@ -218,6 +217,22 @@ def test_a_resumed_run_cuts_what_is_torn_or_will_be_run_again(tmp_path, tail, ke
     assert [row.split(",")[0] for row in table[1:]] == [str(number) for number in [*kept, 5]]
 
 
+@pytest.mark.parametrize("damage", [b"\n", b'{"iteration": 2, "ti\n', b"\x00\x01\n"])
+def test_a_line_that_was_damaged_between_others_costs_no_other_line(tmp_path, damage, caplog):
+    first, second = (
+        json.dumps({"iteration": number, "time/total_timesteps": 10 * number}).encode() + b"\n"
+        for number in (1, 3)
+    )
+    (tmp_path / "metrics.jsonl").write_bytes(first + damage + second)
+    disk = Disk(tmp_path, "logs")
+    runlog = RunLog(tmp_path, 3, disk)
+    runlog.close()
+    assert (tmp_path / "metrics.jsonl").read_bytes() == first + damage + second
+    assert "metrics.jsonl has 1 lines that cannot be read; they stay" in caplog.text
+    table = (tmp_path / "progress.csv").read_text().splitlines()
+    assert [row.split(",")[0] for row in table[1:]] == ["1", "3"]
+
+
 def test_a_file_that_somebody_emptied_goes_on_without_a_hole(tmp_path):
     disk = Disk(tmp_path, "logs")
     file = disk.file("log.txt", 0)
@@ -244,9 +259,8 @@ def test_no_file_is_left_open(tmp_path):
 def test_output_that_is_on_the_full_disk_costs_lines_and_not_the_run(monkeypatch):
     with Path("/dev/full").open("w") as full:
         monkeypatch.setattr("sys.stdout", full)
-        console = Console(Config(), 0)
         for _ in range(1000):
-            console.say("a line of output that a full disk does not take")
+            say("a line of output that a full disk does not take")
         monkeypatch.undo()
         with contextlib.suppress(OSError):
             full.close()

@@ -164,6 +164,57 @@ def test_in_a_silence_it_looks_after_the_world_which_may_end_the_wait():
     assert story.pauses == 2  # before the question, and in the silence after the answer
 
 
+def headed(header):
+    return len(header).to_bytes(8, "little") + header
+
+
+ENDS = {"text": '"x"', "nothing": "null", "list": "[1]"}
+DAMAGED = {
+    name: headed(f'{{"a": {{"dtype": "F32", "data_offsets": [0, {end}]}}}}'.encode())
+    for name, end in ENDS.items()
+} | {"depth": headed(b"[" * 100_000)}
+COLLECTIONS = {name: ({"snapshot": snapshot}, "is damaged") for name, snapshot in DAMAGED.items()}
+COLLECTIONS |= {
+    "squares": (
+        {"obs": np.array([4.0, *[0.0] * OBS, *[9.0] * (OBS - 1), -1.0])},
+        "with a sum of squares below 0",
+    ),
+    "many": ({"fit": np.array([1e9, *[0.0] * 6])}, "over 1e+09 samples"),
+    "fewer than none": ({"start_sigma": np.array([-1.0, 0.0, 0.0])}, "over -1 samples"),
+}
+
+
+@pytest.mark.parametrize(("facts", "sentence"), COLLECTIONS.values(), ids=COLLECTIONS)
+def test_what_cannot_be_a_collection_expels_its_sender(facts, sentence):
+    story = Story("w1", "w2")
+    one, two = story.players
+    one.collected(0, 1, **facts)
+    two.collected(2, 3)
+    two.collected(0, 1)
+    assert {answer.worker for answer in story.collect().answers.values()} == {"w2"}
+    assert one.heard()[-1] == "Stop"
+    assert one.last.final
+    assert sentence in one.last.reason
+
+
+@pytest.mark.parametrize(
+    "facts",
+    [
+        {"obs_size": -5}, {"obs_size": 0}, {"action_sizes": ()}, {"action_sizes": (-1,)},
+        {"action_sizes": (10**15,)}, {"action_kind": "foo"},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_an_environment_that_cannot_be_is_not_taken_for_the_runs(facts):
+    story = Story()
+    odd, good = Player("w1", story.hub).join(**facts), Player("w2", story.hub).join()
+    assert story.exchange.wait_for_environment().obs_size == OBS
+    assert odd.heard() == ["Welcome", "Stop"]
+    assert odd.last.final
+    assert "sent a Ready with" in odd.last.reason
+    assert good.heard() == ["Welcome"]
+
+
 def test_settings_that_no_worker_can_build_are_the_users_error():
     story = Story()
     player = Player("w1", story.hub)

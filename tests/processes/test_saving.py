@@ -216,3 +216,22 @@ def test_a_resumed_run_keeps_its_best(tmp_path):
     second.finish(state_at(2, 3.0))
     note = json.loads((tmp_path / "checkpoints" / "best.json").read_text())
     assert note == {"name": name_of(1), "episode_return_mean": 5.0}
+
+
+def test_a_best_that_was_saved_but_not_yet_marked_is_marked_by_the_next_start(
+    tmp_path, monkeypatch
+):
+    first = saver(tmp_path)
+    first.finish(state_at(1, 1.0))
+    with monkeypatch.context() as killed:
+        killed.setattr("learner.saving.mark_best", lambda *_: None)  # killed before it
+        first.finish(state_at(2, 5.0))
+    found = newest_checkpoint(tmp_path / "checkpoints")
+    assert found is not None
+    second = saver(tmp_path)
+    second.resumed(State.from_checkpoint(found))
+    for iteration, mean in ((3, 3.0), (4, 3.5), (5, 2.0)):
+        second.finish(state_at(iteration, mean))
+    note = json.loads((tmp_path / "checkpoints" / "best.json").read_text())
+    assert note == {"name": name_of(2), "episode_return_mean": 5.0}
+    assert (tmp_path / "checkpoints" / name_of(2)).exists()

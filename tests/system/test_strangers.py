@@ -13,7 +13,7 @@ import pytest
 import zenoh
 
 from dppo.wire.codec import VERSION, Frame, decode, encode, sealed
-from dppo.wire.messages import Collected, Gradient, Hello, Measured
+from dppo.wire.messages import Alive, Collected, Gradient, Hello, Measured
 from dppo.wire.zenoh_links import BASE, open_connecting
 from learner.local import free_address
 from tests.support import SMALL, Harness, iterations, result, wait_until
@@ -148,18 +148,20 @@ def test_messages_said_again_later_or_twice_cost_no_bits(harness, undisturbed):
     assert " left: " not in case.learner.text
 
 
-NAMES = ["../../etc/passwd", "a/b", "..", "", "x" * 65, "w1\n", "*", "ä"]
+NAMES = ["../../etc/passwd", "a/b", "a//b", "a?b", "..", "", "x" * 65, "w1\n", "*", "**", "ä"]
 
 
-def test_workers_with_names_that_could_be_paths_are_not_welcomed(harness, undisturbed):
+def test_workers_with_names_that_could_be_paths_or_keys_are_not_heard(harness, undisturbed):
     case = Case(harness)
     with case.stranger() as stranger:
         for name in NAMES:
             stranger.say("g/x", Hello(worker=name, host="", pid=7, numerics="", versions=""))
+            stranger.say("g/x", Alive(worker=name, generation=1, done=1))
     case.costs_no_bits(undisturbed)
     for name in NAMES:
-        sentence = f"ignored a worker called {name!r}: letters, digits and '-' only"
-        assert sentence in case.learner.text
+        for kind in ("Hello", "Alive"):
+            sentence = f"a {kind} of a worker called {name!r}: letters, digits and '-' only"
+            assert sentence in case.learner.text
     assert case.learner.text.count(" joined, ") == 2
 
 

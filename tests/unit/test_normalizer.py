@@ -29,6 +29,7 @@ def test_observations_pass_unchanged_before_any_were_seen(form):
 
 def test_off_leaves_observations_as_they_are():
     normalize = TWO.obs_normalizer(RolloutConfig(normalize_obs="off"))
+    assert normalize(np.array([150.0, -37.0])).tolist() == [150.0, -37.0]  # beyond --clip-obs
     assert normalize(np.array([3.0, -9.5])).tolist() == [3.0, -9.5]
 
 

@@ -108,3 +108,14 @@ def test_heess2017_has_windows_and_decides_per_worker():
     assert config.update.lr_schedule == "constant"
     assert config.kl.kl_scope == "worker"
     assert config.safety.psi == 0
+
+
+@pytest.mark.parametrize("name", ["HopperRiskySpeed-v4", "HopperActionNoise-v5", "mine:Hopper-v4"])
+def test_kin_of_the_papers_environments_get_their_numbers(name):
+    ours, theirs = paper(name), paper("Hopper-v4")
+    assert (ours.safety, ours.update, ours.rollout) == (
+        theirs.safety,
+        theirs.update,
+        theirs.rollout,
+    )
+    assert paper("Swimmer-v4").safety.psi == 0.1

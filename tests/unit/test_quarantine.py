@@ -85,6 +85,24 @@ def test_refusals_that_are_confirmed_or_never_answered_bench_nobody():
     assert quarantine.accept({}, (0, 1), NEXT) == []
 
 
+def test_once_a_part_of_a_refused_answer_is_confirmed_the_rest_refutes_nobody():
+    quarantine = Quarantine()
+    for update in range(9):
+        round_id = RoundId(1, 0, update)
+        assert quarantine.refuse("a", (0, 1, 2, 3), round_id) is None
+        assert quarantine.refuse("b", (0, 1), round_id) == "a"
+        quarantine.confirm({"norm": 1e9}, (0, 1), round_id)
+        assert quarantine.accept({"norm": 1e9}, (0, 1), round_id) == []
+        assert quarantine.accept({"norm": 1.0}, (2, 3), round_id) == []
+
+
+def test_what_is_larger_than_any_number_that_makes_sense_counts_once_it_is_confirmed():
+    quarantine = with_usual(1.0)
+    quarantine.confirm({"norm": 1e22}, (0,), ROUND)
+    assert not quarantine.outlier({"norm": 5e22})
+    assert quarantine.outlier({"norm": 1.1e23})
+
+
 def test_failures_of_environments_have_a_memory_of_their_own():
     quarantine = Quarantine()
     assert quarantine.fail("a", 0, RoundId(1, 4, 0)) is None

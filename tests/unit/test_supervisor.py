@@ -28,6 +28,24 @@ def test_a_failure_or_a_signal_is_started_again_n_times_in_all(code):
     assert supervision.used == 2
 
 
+def test_wrong_usage_of_a_restart_is_not_final_something_else_is_in_the_way():
+    supervision = Supervision(restarts=2)
+    assert supervision.pause_after(KILLED, 5.0) is not None
+    assert supervision.pause_after(2, 0.5) is not None
+    assert supervision.sentence(2, 0.5, 1.0).startswith("the learner ended with exit code 2 after")
+    assert supervision.pause_after(2, 0.5) is None
+    assert "no restart is left" in supervision.sentence(2, 0.5, None)
+
+
+def test_what_it_says_may_be_lost_and_it_starts_the_learner_all_the_same():
+    learner = [sys.executable, "-c", "import os; os.write(1, b'.'); exit(3)"]
+    program = f"from learner.supervisor import supervise; exit(supervise({learner}, [], 2))"
+    words = [sys.executable, "-c", program]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(words, cwd=ROOT, stdout=subprocess.PIPE, stderr=full, check=False)
+    assert (done.stdout, done.returncode) == (b"...", 3)
+
+
 def test_no_restarts_is_none():
     assert Supervision(restarts=0).pause_after(KILLED, 5.0) is None
 

@@ -1,5 +1,7 @@
 """Who stalls and who is only slow; how fast each one is."""
 
+import pytest
+
 from dppo.pace import Pace
 from dppo.patience import Patience
 from dppo.watch import Watch
@@ -104,6 +106,22 @@ def test_what_was_never_done_is_waited_for_as_long_as_at_first():
         assert w.look(float(now), ["a"]) == []
     w.hear("a", 70.0, done=19)
     assert w.look(70.0, ["a"]) == ["a"]
+
+
+@pytest.mark.parametrize(("workers", "rollout", "update"), [(8, 60, 4), (32, 16, 4), (2, 300, 5)])
+def test_long_rollouts_of_many_do_not_make_their_long_gradients_stalls(workers, rollout, update):
+    """In a rollout the counts grow at each sign of life, in a gradient they stand still."""
+    w = Watch(Patience(first=30.0, least=3.0), Patience(first=3.0, least=3.0))
+    names, now, done = [f"w{k}" for k in range(workers)], 0.0, 0
+    for iteration in range(6):
+        for seconds, moves in ((rollout, True), (update, False)):
+            w.is_new = iteration == 0
+            for tick in range(2 * seconds):
+                now, done = now + 0.5, done + (moves or tick == 0)
+                for name in names:
+                    w.hear(name, now, done)
+                assert w.look(now, names) == []
+            w.calm()
 
 
 def test_a_collection_that_was_spoiled_or_never_begun_does_not_count():

@@ -1,7 +1,7 @@
 """Every message comes back as it was sent; whatever is not one is refused with a sentence."""
 
 import math
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import get_args
 
 import msgpack
@@ -173,6 +173,16 @@ def test_a_missing_or_extra_field_is_refused(values):
 )
 def test_a_field_of_another_type_is_refused_by_name(name, values, sentence):
     refused(framed(name, values), sentence)
+
+
+NAMES = ["", "*", "**", "a?b", "a#b", "a//b", "a/", "../x", "x" * 65, "w1\n", "ä"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_name_that_means_something_in_a_key_is_refused_whatever_the_message(name):
+    for message in EXAMPLES[:7]:
+        frame = encode(replace(message, worker=name))
+        refused(frame, "of a worker called .*: letters, digits and '-' only")
 
 
 @pytest.mark.parametrize("length", [1 << 31, 1 << 60, (1 << 64) - 1])
