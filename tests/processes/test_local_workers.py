@@ -18,6 +18,8 @@ from learner import local
 from learner.local import LocalWorkers
 from tests.support import ROOT, descendants, is_alive, state_of, wait_until
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def workers():

@@ -7,6 +7,7 @@ import pytest
 from dppo.store.checkpoint import newest_checkpoint
 from tests.support import SMALL, Harness
 
+pytestmark = pytest.mark.slow
 POWERS = (0, -10, 10)
 """Rewards times 2 to these: whole numbers of bits, so every division is exact."""
 

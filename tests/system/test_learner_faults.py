@@ -1,7 +1,10 @@
 """The learner dies between two lines of its loop, or stops: the same bits, nobody is blamed."""
 
 import json
+import os
 import signal
+import subprocess
+import sys
 
 import pytest
 
@@ -51,6 +54,55 @@ def test_a_learner_killed_between_two_lines_goes_on_with_the_same_bits(
     assert outcome["parameters_sha256"] == undisturbed
     rows = [json.loads(line) for line in (run_dir / "metrics.jsonl").read_text().splitlines()]
     assert [row["iteration"] for row in rows] == list(range(1, ITERATIONS + 1))
+
+
+def test_a_learner_killed_after_the_last_checkpoint_only_has_to_say_so(harness, undisturbed):
+    """Its external workers were told that the run is over: nobody comes back."""
+    run_dir = harness.folder / "run"
+    harness.train(*RUN, "--local-workers", "2", run_dir=run_dir)
+    (run_dir / "result.json").unlink()
+    outcome = harness.train(*RUN, "--local-workers", "0", run_dir=run_dir)
+    assert outcome["status"] == "finished"
+    assert outcome["parameters_sha256"] == undisturbed
+    assert outcome["restarts"] == 1
+    assert iterations(run_dir) == ITERATIONS
+
+
+def test_a_run_that_is_not_exact_says_so_after_a_restart_too(harness):
+    """A move of an environment that is not made exactly, then a pause."""
+    run_dir, address = harness.folder / "run", free_address()
+    steps = ("--env", "Hopper-v5", *SMALL, "--total-timesteps", str(40 * 8 * 64))
+    run = (*steps, "--no-exact-envs", "--listen", address, "--local-workers", "1")
+    learner = harness.learner(*run, "--stop-at", str(20 * 8 * 64), run_dir=run_dir)
+    wait_until(lambda: iterations(run_dir) >= 2, "the first iterations")
+    harness.worker(address)
+    assert learner.wait() == 0, learner.text
+    before = result(run_dir)
+    assert not before["exact"], "no slot was moved"
+    after = harness.train(*steps, "--no-exact-envs", "--local-workers", "8", run_dir=run_dir)
+    assert not after["exact"]
+
+
+@pytest.mark.parametrize("way", ["a pipe that nobody reads", "a full disk", "ascii"])
+def test_output_that_nobody_takes_costs_no_bit(harness, undisturbed, way):
+    run_dir = harness.folder / "run"
+    words = [sys.executable, "-m", "learner", *RUN, "--local-workers", "2", "--run-dir", run_dir]
+    environment = os.environ | ({"PYTHONIOENCODING": "ascii"} if way == "ascii" else {})
+    reading, writing = os.pipe()
+    if way == "a full disk":
+        os.close(writing)
+        writing = os.open("/dev/full", os.O_WRONLY)
+    if way != "ascii":
+        os.close(reading)
+    learner = subprocess.Popen(words, stdout=writing, stderr=subprocess.PIPE, env=environment)
+    os.close(writing)
+    if way == "ascii":
+        with os.fdopen(reading) as output:
+            assert "? " in output.read()  # ψ and σ
+    _, errors = learner.communicate(timeout=120)
+    assert learner.returncode == 0, errors
+    assert b"Traceback" not in errors
+    assert result(run_dir)["parameters_sha256"] == undisturbed
 
 
 def test_a_learner_stopped_for_longer_than_any_patience_gives_nobody_up(harness):
