@@ -9,19 +9,35 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from dppo.arguments import RunFolder
 from dppo.settings import require
 
 _USAGE = (
     "usage: dppo {eval,export,video,watch,checkpoint,replay} RUN [options], or dppo "
     "{four-rooms,bench,chaos,experiment} [options]; --help after one of these says more"
 )
+_COMMANDS = """
+RUN is a run directory of dppo-learner, or a checkpoint in it.
+
+  eval        what its policy earns, how far that spreads, whether sigma knows
+  export      the policy as ONNX or TorchScript
+  video       a film of an episode
+  watch       an episode in a window
+  checkpoint  what is inside, with hashes
+  replay      the run again by its ledger, to compare the bits
+  four-rooms  the paper's tabular experiment
+  bench       how fast this machine steps an environment, with advice
+  chaos       a run with faults beside one without, to compare the bits
+  experiment  a grid of runs, with a report
+
+Training is dppo-learner; workers on other hosts are dppo-worker."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CheckpointArgs:
     """Show what is inside a run's checkpoints, with hashes."""
 
-    run: str
+    run: RunFolder
     """Run directory, or one checkpoint folder in it."""
     which: str = "newest"
     """best, newest, or a checkpoint's name such as iteration-00000040."""
@@ -31,7 +47,7 @@ class CheckpointArgs:
 class ReplayArgs:
     """Run a run again by its ledger and compare the bits; exit code 1: they differ, and where."""
 
-    run: str
+    run: RunFolder
     """Run directory."""
     out: str = ""
     """Folder for the second run; empty: replay, in the run directory."""
@@ -77,7 +93,7 @@ def _command(words: list[str]) -> int:
     start_logging(False)
     match words:
         case ["eval" | "export" | "video" | "watch" | "checkpoint" | "replay" as name, *rest]:
-            return _with_run(name, rest if not _is_run(rest) else ["--run", *rest])
+            return _with_run(name, rest)
         case ["four-rooms", *rest]:
             from dppo.four_rooms.command import FourRoomsArgs, run
 
@@ -94,7 +110,7 @@ def _command(words: list[str]) -> int:
 
             return experiment.run(rest)
         case ["-h" | "--help", *_]:
-            print(f"{_USAGE}\n\n{__doc__}")
+            print(f"{_USAGE}\n{_COMMANDS}")
             return 0
     found = words[0] if words else "nothing"
     print(
@@ -104,11 +120,6 @@ def _command(words: list[str]) -> int:
         file=sys.stderr,
     )
     return 2
-
-
-def _is_run(words: list[str]) -> bool:
-    """`RUN ...`, which stands for `--run RUN ...`."""
-    return bool(words) and not words[0].startswith("-")
 
 
 def _with_run(name: str, words: list[str]) -> int:

@@ -141,7 +141,7 @@ class SafetyConfig:
     variance_limit_rate: float = 0.05
     """Change of ψ in an iteration with new episodes, per unit of relative violation [ψ]."""
     adv_norm: Literal["separate", "joint", "none"] = "separate"
-    """How A_V and A_σ meet: each standardised [ψ: 1], their sum, or raw [ψ: 1/scaled reward]."""
+    """A_V − ψ A_σ: each standardised [ψ: 1], their sum, or raw [both ψ: 1/scaled reward]."""
     sigma_head: Literal["softplus", "linear"] = "softplus"
     """Output of the variance network: positive by construction, or (paper) linear."""
     reward_variance: float = 0.0
@@ -235,21 +235,21 @@ class KlConfig:
     kl_target: float = 0.02
     """KL_target: wanted KL[π_old‖π] per iteration [nats per state]."""
     kl_coef: float = 1.0
-    """β at the start: weight of the KL penalty."""
+    """β at the start: weight of the KL penalty [1/nat]."""
     kl_coef_scale: float = 1.5
     """α: factor by which β moves [> 1]."""
     kl_low: float = 0.5
-    """β_low: β shrinks below β_low KL_target."""
+    """β_low: β shrinks below β_low KL_target [1]."""
     kl_high: float = 2.0
-    """β_high: β grows above β_high KL_target."""
+    """β_high: β grows above β_high KL_target [1]."""
     kl_coef_min: float = 1 / 35
-    """Lower clamp of β."""
+    """Lower clamp of β [1/nat]."""
     kl_coef_max: float = 35.0
-    """Upper clamp of β."""
+    """Upper clamp of β [1/nat]."""
     hinge_coef: float = 50.0
-    """ξ: weight of max(0, KL - 2 KL_target)²."""
+    """ξ: weight of max(0, KL - 2 KL_target)² [1/nat²]."""
     kl_stop: float = 4.0
-    """Policy updates of the iteration stop above kl_stop x KL_target; inf: never."""
+    """Policy updates of the iteration stop above kl_stop x KL_target; inf: never [1]."""
     kl_scope: Literal["chief", "worker"] = "chief"
     """Who decides stop and β: the chief on the mean KL, or (Heess) each slot on its own."""
 
@@ -282,7 +282,7 @@ class NetworkConfig:
     log_std_init: float = -1.0
     """Initial log of the Gaussian policy's std, per action dimension [nats]."""
     log_std_rate: float = 1.0
-    """Learning-rate factor of log std [1]; -1: (paper) half of (10 h3) // 48."""
+    """Learning-rate factor of log std [1]; -1: (paper) half of (10 x last hidden size) // 48."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""

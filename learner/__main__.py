@@ -25,7 +25,6 @@ _ALIASES = {
     "--n-epochs": "--update-epochs",
     "--lr": "--learning-rate",
     "--target-kl": "--kl-target",
-    "--workers": "--local-workers",
     "-n": "--total-timesteps",
 }
 _RESULT_SECONDS = 3.0
@@ -43,7 +42,7 @@ class ProcessArgs:
     config: str = ""
     """JSON or TOML file that sets defaults, e.g. a run's config.json; flags win over it."""
     local_workers: int = -1
-    """Worker processes to start here; 0: none, external ones connect; -1: one per core."""
+    """Worker processes to start here; 0: none, others connect; -1: one per core, or per slot."""
     listen: str = "auto"
     """Zenoh address for workers, e.g. tcp/0.0.0.0:7447; auto: a free port on loopback."""
     insecure: bool = False
@@ -60,8 +59,8 @@ class ProcessArgs:
     """Iterations between checkpoints [count]."""
     keep_checkpoints: int = 3
     """Newest checkpoints to keep, besides the best [count]."""
-    stop_at: int = sys.maxsize
-    """Pause after so many environment steps of the run, with a checkpoint [env steps]."""
+    stop_at: int = 0
+    """Pause after so many environment steps of the run, with a checkpoint; 0: never [steps]."""
     patience: float = 3.0
     """Least silence, or time without progress, that a worker is given up for; inf: never [s]."""
     restarts: int = 0
@@ -73,6 +72,7 @@ class ProcessArgs:
         """Refuse what makes no sense."""
         leasts = {
             "local_workers": -1, "checkpoint_every": 1, "keep_checkpoints": 1, "restarts": 0,
+            "stop_at": 0,
         }  # fmt: skip
         for name, least in leasts.items():
             require(getattr(self, name) >= least, name, getattr(self, name), f">= {least}")
@@ -142,7 +142,7 @@ def _train(config: Config, args: ProcessArgs, supervisor: int | None) -> int:
     from learner.signals import StopSignals, log_to_file
 
     original = Original.read(Path(args.replay), config) if args.replay else None
-    stop_at = args.stop_at
+    stop_at = args.stop_at or sys.maxsize
     if original is not None:
         stop_at = min(stop_at, len(original.iterations) * config.rollout.samples)
     address = listening_address(args.listen, args.insecure)

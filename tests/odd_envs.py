@@ -4,6 +4,7 @@ import os
 import re
 import signal
 import time
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -24,12 +25,17 @@ class Walk(gymnasium.Env[Any, Any]):
         observations: Any = None,
         once: str = "",
         after: int = 0,
+        while_there: str = "",
     ) -> None:
-        """With `once`, a file, trouble comes a single time, and not before `after` steps."""
+        """With `once`, a file, trouble comes a single time, and not before `after` steps.
+
+        It raises in every step while there is a file `while_there`.
+        """
         self.action_space = actions or spaces.Discrete(2)
         self.observation_space = observations or spaces.Box(-1, 1, (2,))
         self._trouble, self._steps = trouble, 0
         self._once, self._left = once, after
+        self._while_there = Path(while_there) if while_there else None
 
     def reset(self, *, seed: int | None = None, **_: Any) -> Any:
         super().reset(seed=seed)
@@ -38,6 +44,8 @@ class Walk(gymnasium.Env[Any, Any]):
 
     def step(self, action: Any) -> Any:
         time.sleep(SECONDS_PER_STEP)
+        if self._while_there is not None and self._while_there.exists():
+            _strike("raise")
         self._steps += 1
         obs = np.array([self._steps / 16, float(np.sum(action))], np.float32)
         self._left -= 1

@@ -4,6 +4,8 @@ import os
 import sys
 from dataclasses import dataclass
 
+from dppo.settings import require
+
 
 @dataclass(frozen=True, kw_only=True)
 class WorkerArgs:
@@ -21,6 +23,10 @@ class WorkerArgs:
     """Give up when no learner answers for so long [s]."""
     verbose: bool = True
     """Log joining, waiting and losing the learner."""
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sense."""
+        require(self.wait_seconds >= 0, "wait_seconds", self.wait_seconds, ">= 0")
 
 
 def main(argv: list[str] | None = None) -> None:

@@ -1,5 +1,6 @@
 """`dppo experiment`: a grid of runs from the first to the report."""
 
+import inspect
 import platform
 import shlex
 import sys
@@ -7,6 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
+from dppo.arguments import ExperimentFolder, GridFile
 from dppo.errors import UsageError
 from dppo.experiment.folder import Folder, Plan
 from dppo.experiment.plan import Grid, whole_number
@@ -32,7 +34,7 @@ class GridArgs:
     jobs: int = 0
     """Runs side by side; 0: one per core this process may use [count]."""
     out: str = ""
-    """Folder; empty: runs/ and the grid's name."""
+    """Folder; empty: runs/ and the grid's name, a file's without .toml."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
@@ -77,7 +79,7 @@ class FileArgs(GridArgs):
     was stopped by a signal; 1: a run has failed, see the report; 2: wrong usage.
     """
 
-    grid: str
+    grid: GridFile
     """TOML file."""
 
 
@@ -89,7 +91,7 @@ class KeepArgs:
     more seeds.
     """
 
-    folder: str
+    folder: ExperimentFolder
     """Folder of the experiment; it may be running."""
     out: str
     """New folder."""
@@ -99,7 +101,7 @@ class KeepArgs:
 class ReportArgs:
     """Write the report of what an experiment has reached; trains nothing."""
 
-    folder: str
+    folder: ExperimentFolder
     """Folder of the experiment; it may be running."""
 
 
@@ -117,26 +119,22 @@ def run(words: list[str]) -> int:
         raise UsageError(f"found {' '.join(theirs)} after --; only table2 takes learner flags")
     match own:
         case ["report", *rest]:
-            return _report(parse(ReportArgs, _first(rest, "--folder"), "dppo experiment report"))
+            return _report(parse(ReportArgs, rest, "dppo experiment report"))
         case ["keep", *rest]:
-            return _keep(parse(KeepArgs, _first(rest, "--folder"), "dppo experiment keep"))
+            return _keep(parse(KeepArgs, rest, "dppo experiment keep"))
         case ["table2", *rest]:
             args = parse(Table2Args, rest, "dppo experiment table2")
             return _experiment(_table2(args, theirs), args, "table2")
-        case [file, *rest] if not file.startswith("-"):
-            args_of_file = parse(FileArgs, ["--grid", file, *rest], "dppo experiment GRID.toml")
+        case [file, *_] if not file.startswith("-"):
+            args_of_file = parse(FileArgs, own, "dppo experiment")
             from dppo.experiment.grid_file import read_grid
 
             grid = read_grid(Path(args_of_file.grid))
             return _experiment(grid, args_of_file, Path(file).stem)
         case ["-h" | "--help", *_]:
-            print(f"{_USAGE}\n\n{GridArgs.__doc__}")
+            print(f"{_USAGE}\n\n{inspect.cleandoc(GridArgs.__doc__ or '')}")
             return 0
     raise UsageError(f"found {own[0] if own else 'nothing'}, expected a grid\n{_USAGE}")
-
-
-def _first(words: list[str], flag: str) -> list[str]:
-    return [flag, *words] if words and not words[0].startswith("-") else words
 
 
 def _table2(args: Table2Args, theirs: list[str]) -> Grid:

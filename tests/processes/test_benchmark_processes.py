@@ -5,13 +5,13 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 from pathlib import Path
 
 import pytest
 
 from benchmarks.processes import started
 from benchmarks.runs import Run
+from tests.support import wait_until
 
 STUBBORN = textwrap.dedent(
     """
@@ -38,10 +38,10 @@ def words(file):
 
 def pids_in(file, count=THREE):
     """The processes that have noted themselves, once all have."""
-    until = time.monotonic() + 20
-    while not file.exists() or len(file.read_text().splitlines()) < count:
-        assert time.monotonic() < until
-        time.sleep(0.01)
+    wait_until(
+        lambda: file.exists() and len(file.read_text().splitlines()) >= count,
+        f"{count} processes to note themselves",
+    )
     return [int(line) for line in file.read_text().splitlines()]
 
 
@@ -77,8 +77,7 @@ def test_children_that_ignore_sigterm_in_sessions_of_their_own_are_gone(file):
 def test_children_of_a_process_that_has_ended_before_are_gone(file):
     tree = started(words(file), {"STUBBORN": STUBBORN, "ORPHAN": "1"})
     pids = pids_in(file)
-    while len(living(pids)) == THREE:  # the one in the middle ends by itself
-        time.sleep(0.01)
+    wait_until(lambda: len(living(pids)) < THREE, "the one in the middle to end by itself")
     tree.end()
     assert living(pids) == []
 

@@ -122,7 +122,7 @@ def test_a_worker_whose_failure_is_lost_still_shows_that_it_lives():
 
     def wait_for(kind):
         for _ in range(50):
-            event = learner.receive(2.0)
+            event = learner.receive(20.0)
             if isinstance(event, kind) or event is None:
                 return event
         return None

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from tests.support import SMALL, result
+from tests.support import SMALL, checkpoints, iterations, result, wait_until
 
 pytestmark = pytest.mark.slow
 RUN = (
@@ -47,13 +47,22 @@ def test_an_environment_that_goes_wrong_once_costs_no_bits(harness, undisturbed,
     assert result(run_dir)["parameters_sha256"] == undisturbed
 
 
-def test_an_environment_that_always_raises_stops_the_run_after_its_checkpoint_is_safe(harness):
-    run_dir = harness.folder / "run"
-    run = [*RUN]
-    run[1] = "tests.odd_envs:Raises-v0"
-    learner = harness.learner(*run, run_dir=run_dir)
+def test_an_environment_that_always_raises_stops_the_run_after_its_checkpoint_is_safe(
+    harness, undisturbed
+):
+    """Nothing else would save one; when all is well again the same command goes on."""
+    run_dir, broken = harness.folder / "run", harness.folder / "broken"
+    values = json.dumps({"while_there": str(broken)})
+    command = (*RUN, "--env-kwargs", values, "--checkpoint-every", "1000")
+    learner = harness.learner(*command, run_dir=run_dir)
+    wait_until(lambda: iterations(run_dir) >= 3, "three iterations")
+    broken.touch()
     assert learner.wait() == 1, learner.text
     last = learner.text.splitlines()[-1]
     assert last.startswith("error: slot ")
     assert "raised RuntimeError: the arm fell off" in last
     assert "it is the second time, after worker local-" in last
+    assert result(run_dir)["iterations"] >= 3
+    assert checkpoints(run_dir) == [f"iteration-{result(run_dir)['iterations']:08d}"]
+    broken.unlink()
+    assert harness.train(*command, run_dir=run_dir)["parameters_sha256"] == undisturbed

@@ -13,7 +13,6 @@ from tests.support import (
     SMALL,
     Harness,
     checkpoints,
-    is_alive,
     iterations,
     result,
     state_of,
@@ -216,4 +215,3 @@ def test_workers_that_crash_at_their_start_end_the_run_with_a_sentence(harness):
     assert "this installation is broken" in learner.text
     for told in ("local workers died 3 times", "the last with exit code 1; see what they printed"):
         assert told in learner.text, learner.text
-    assert not is_alive(learner.popen.pid)

@@ -151,7 +151,7 @@ def test_messages_said_again_later_or_twice_cost_no_bits(harness, undisturbed):
 NAMES = ["../../etc/passwd", "a/b", "a//b", "a?b", "..", "", "x" * 65, "w1\n", "*", "**", "ä"]
 
 
-def test_workers_with_names_that_could_be_paths_or_keys_are_not_heard(harness, undisturbed):
+def test_workers_with_names_that_could_be_paths_are_not_welcomed(harness, undisturbed):
     case = Case(harness)
     with case.stranger() as stranger:
         for name in NAMES:

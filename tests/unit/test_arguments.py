@@ -7,10 +7,8 @@ import pytest
 from dppo.config import Config
 from dppo.errors import UsageError
 from dppo.presets import paper
+from learner.__main__ import _ALIASES, _WHOLE_NUMBERS
 from learner.arguments import defaults, listening_address, normalised
-
-ALIASES = {"--env-id": "--env", "--num-workers": "--slots"}
-WHOLE = ("--total-timesteps", "--stop-at")
 
 
 @pytest.mark.parametrize(
@@ -21,7 +19,13 @@ WHOLE = ("--total-timesteps", "--stop-at")
         ("--num_steps=8", "--num-steps 8"),
         ("--env_id Ant-v4", "--env Ant-v4"),
         ("--env-id=Ant-v4", "--env Ant-v4"),
-        ("--num_workers=4", "--slots 4"),
+        ("--n_envs=4", "--num-envs 4"),
+        ("--n-steps 8", "--num-steps 8"),
+        ("--n_epochs 3", "--update-epochs 3"),
+        ("--lr 1e-3", "--learning-rate 1e-3"),
+        ("--target_kl=0.1", "--kl-target 0.1"),
+        ("-n 1e6", "--total-timesteps 1000000"),
+        ("--stop_at=1e3", "--stop-at 1000"),
         ("--total-timesteps 1e6", "--total-timesteps 1000000"),
         ("--total_timesteps=2.5e5", "--total-timesteps 250000"),
         ("--total-timesteps 1.5", "--total-timesteps 1.5"),  # for the parser to refuse
@@ -41,7 +45,7 @@ WHOLE = ("--total-timesteps", "--stop-at")
     ],
 )
 def test_what_is_typed_and_what_is_meant(typed, meant):
-    assert normalised(typed.split(), ALIASES, WHOLE) == meant.split()
+    assert normalised(typed.split(), _ALIASES, _WHOLE_NUMBERS) == meant.split()
 
 
 def test_a_value_keeps_its_underscores_and_equals_signs():
@@ -54,7 +58,7 @@ def test_a_value_keeps_its_underscores_and_equals_signs():
 @pytest.mark.parametrize("steps", [2**53 + 1, 2**63 - 1])
 def test_a_whole_number_is_not_rounded(steps):
     argv = ["--total-timesteps", str(steps)]
-    assert normalised(argv, {}, WHOLE) == argv
+    assert normalised(argv, {}, _WHOLE_NUMBERS) == argv
 
 
 def test_an_empty_value_stays():

@@ -1,4 +1,4 @@
-"""The recipes have the numbers of their sources (docs: spec/algorithm.md, "Presets")."""
+"""The recipes have the numbers of their sources (docs/algorithm.md, "Presets")."""
 
 import json
 import math

@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from dppo.arguments import RunFolder
 from dppo.settings import require
 
 if TYPE_CHECKING:
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
 class EvalArgs:
     """Evaluate a run's policy: mean, spread and tail of its returns, with 95 % intervals."""
 
-    run: str
+    run: RunFolder
     """Run directory, or one checkpoint folder in it."""
     episodes: int = 20
     """Episodes, each from its own start state; with --fixed-start as many again [count]."""

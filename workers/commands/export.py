@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from dppo.arguments import RunFolder
 from dppo.settings import require
 
 
@@ -10,7 +11,7 @@ from dppo.settings import require
 class ExportArgs:
     """Write a run's policy as ONNX or TorchScript: raw observations in, actions out; verified."""
 
-    run: str
+    run: RunFolder
     """Run directory, or one checkpoint folder in it."""
     onnx: str = ""
     """File to write, e.g. policy.onnx; needs the extra `export`."""

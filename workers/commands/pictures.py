@@ -5,6 +5,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from dppo.arguments import RunFolder
 from dppo.settings import require
 
 
@@ -12,7 +13,7 @@ from dppo.settings import require
 class _Args:
     """What both have."""
 
-    run: str
+    run: RunFolder
     """Run directory, or one checkpoint folder in it."""
     episodes: int = 1
     """Episodes, those of `dppo eval` with the same seed [count]."""
