@@ -28,8 +28,7 @@ class Console:
         """The newest iteration; `speed` in environment steps per second."""
         text = _line(report, speed)
         if self._bar is not None:
-            with contextlib.suppress(OSError):
-                self._bar.update(self._task, completed=report.env_steps, figures=text)
+            self._bar.update(self._task, completed=report.env_steps, figures=text)
             return
         now = time.monotonic()
         over = report.env_steps >= self._total

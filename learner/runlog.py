@@ -134,7 +134,7 @@ def _taken_up(
             size, ends, damaged = place, line.endswith(b"\n"), odd
             keep(row)
     if damaged:
-        log.warning("%s has %d lines that cannot be read; they stay", path, damaged)
+        log.warning("cannot read %d of the lines of %s; they stay as they are", damaged, path)
     file = disk.file(path.name, size)
     if not ends:
         file.write(b"\n")
