@@ -1,6 +1,6 @@
 """Fixtures shared by several tests. Threads are set before NumPy is imported, as in a process."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ from dppo.process import one_thread
 
 one_thread()
 
-from tests.support import Harness  # noqa: E402  after the threads
+from tests.support import SMALL, Harness  # noqa: E402  after the threads
 
 if TYPE_CHECKING:
     from dppo.experiment.folder import Folder
@@ -27,6 +27,31 @@ def harness(tmp_path: Path) -> Iterator[Harness]:
     harness = Harness(tmp_path)
     yield harness
     harness.end()
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """A small run of an environment with these words, trained when it is first asked for."""
+    harness, found = Harness(tmp_path_factory.mktemp("trained")), dict[tuple[str, ...], Path]()
+
+    def run(env_id: str, *words: str) -> Path:
+        key = (env_id, *words)
+        if key not in found:
+            run_dir = harness.folder / f"run{len(found)}"
+            steps = ("--total-timesteps", "1536", "--local-workers", "1")
+            harness.train("--env", env_id, *SMALL, *steps, *words, run_dir=run_dir)
+            found[key] = run_dir
+        return found[key]
+
+    return run
+
+
+@pytest.fixture
+def quiet_libraries() -> None:
+    """Gymnasium and MuJoCo as in a worker: their remarks are no warnings."""
+    from workers.envs import quiet
+
+    quiet()
 
 
 @pytest.fixture(scope="session")

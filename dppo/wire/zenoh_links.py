@@ -35,6 +35,7 @@ from dppo.wire.messages import Hello, ToLearner, ToWorker
 
 BASE = "dppo/v1"
 _CLOSE_SECONDS = 3.0
+_LOOK_SECONDS = 0.2
 _DEAF_SECONDS = 5.0
 """A worker that has said Hello for so long and heard nothing opens a session anew."""
 
@@ -152,7 +153,9 @@ def _opened_beside(config: zenoh.Config) -> zenoh.Session | BaseException:
             outcome.put(error)
 
     threading.Thread(target=work, daemon=True).start()
-    return outcome.get()
+    while True:  # a signal that comes just before a wait without end is heard at its end
+        with contextlib.suppress(queue.Empty):
+            return outcome.get(timeout=_LOOK_SECONDS)
 
 
 class _End:

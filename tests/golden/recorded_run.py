@@ -32,6 +32,7 @@ from dppo.wire.messages import Collect, Gradient, Measure, Update, Welcome
 from learner.chief import Chief
 from learner.exchange import Exchange
 from learner.ledger import Ledger
+from learner.report import IterationReport
 from learner.soundness import Expected
 from learner.state import State
 from workers.membership import Member
@@ -131,6 +132,17 @@ class Run:
     """after the last iteration"""
 
 
+@dataclass
+class Trained:
+    """A run and everything that went over its link."""
+
+    link: _Recorder
+    spaces: Spaces
+    networks: Networks
+    end: State
+    reports: list[IterationReport]
+
+
 def train(config):
     """Run the chief over a memory link, with one worker in a thread."""
     hub = MemoryHub()
@@ -145,15 +157,15 @@ def train(config):
     exchange.expected = Expected(spaces, networks.size, ENVS * STEPS)
     state = State.initial(networks, spaces.obs_size, config)
     chief = Chief(state, networks, config, 1, exchange, Ledger(config.rollout, lambda _: None))
-    for _ in range(ITERATIONS):
-        chief.iterate()
+    reports = [chief.iterate() for _ in range(ITERATIONS)]
     exchange.stop("the run is finished", final=True)
     thread.join(60.0)
-    return link, spaces, networks, chief.state
+    return Trained(link, spaces, networks, chief.state, reports)
 
 
 def record(config):
-    link, spaces, networks, end = train(config)
+    trained = train(config)
+    link, spaces, networks = trained.link, trained.spaces, trained.networks
     slots = Slots.fresh(range(SLOTS), config)
     iterations = []
     for number in range(ITERATIONS):
@@ -185,4 +197,4 @@ def record(config):
         )
         iterations[-1].rollouts += [rollout for rollout, _ in collected]
     slots.close()
-    return Run(config, spaces, networks, iterations, end)
+    return Run(config, spaces, networks, iterations, trained.end)

@@ -184,6 +184,6 @@ def test_without_psi_the_run_is_plain_dppo_bit_for_bit():
         train(replace(config, safety=SafetyConfig(variance_critic=critic)))
         for critic in (True, False)
     ]
-    safe, plain = (state.parameters for _, _, _, state in runs)
+    safe, plain = (run.end.parameters for run in runs)
     assert len(safe) > len(plain)
     assert safe[: len(plain)].tobytes() == plain.tobytes()

@@ -1,12 +1,14 @@
 """Batched MuJoCo environments against Gymnasium's own: every bit, over episodes and resets."""
 
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
 
 from tests.bits import assert_same, compare, pair, random_actions, trained_actions
-from workers.envs import make_vec, quiet
+from workers.envs import make_vec
 from workers.generic_vec import GenericVec
 from workers.mujoco_vec import MujocoVec
 
@@ -14,6 +16,8 @@ NAMES = (
     "Ant", "HalfCheetah", "Hopper", "Walker2d", "Humanoid", "HumanoidStandup", "Swimmer",
     "InvertedPendulum", "InvertedDoublePendulum", "Reacher", "Pusher",
 )  # fmt: skip
+
+pytestmark = pytest.mark.usefixtures("quiet_libraries")
 IDS = [f"{name}-{version}" for name in NAMES for version in ("v4", "v5")]
 IDS.remove("Pusher-v4")  # Gymnasium refuses it on MuJoCo 3 and later
 KWARGS = [
@@ -38,7 +42,7 @@ KWARGS = [
 
 def trace(env_id, **kwargs):
     """All that Gymnasium's own environments give in 40 steps, as bytes."""
-    own = gymnasium.make_vec(env_id, 3, "sync", max_episode_steps=30, **kwargs)
+    own: Any = gymnasium.make_vec(env_id, 3, "sync", max_episode_steps=30, **kwargs)
     act = random_actions(env_id)
     obs, _ = own.reset(seed=[5, 6, 7])
     found = [obs.tobytes()]
@@ -47,11 +51,6 @@ def trace(env_id, **kwargs):
         found += [array.tobytes() for array in (obs, *others)]
     own.close()
     return found
-
-
-@pytest.fixture(autouse=True)
-def _quiet():
-    quiet()
 
 
 @pytest.mark.parametrize("env_id", IDS)

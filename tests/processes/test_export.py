@@ -7,28 +7,13 @@ import pytest
 import torch
 
 from dppo.store.contents import chosen
-from tests.support import SMALL, Harness, printed
+from tests.support import printed
 from workers.envs import Adapter, make_env, spaces_of
 from workers.evaluate import policy_of
 from workers.export import Exporter
 
 HAS_ONNX = all(importlib.util.find_spec(name) for name in ("onnx", "onnxruntime", "onnxscript"))
 needs_onnx = pytest.mark.skipif(not HAS_ONNX, reason="the extra `export` is not installed")
-
-
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    """A small run of an environment, trained when it is first asked for."""
-    harness = Harness(tmp_path_factory.mktemp("train"))
-
-    def run(env_id, *args):
-        run_dir = harness.folder / f"{env_id.partition(':')[2] or env_id}{len(args)}"
-        if not run_dir.exists():
-            steps = ("--total-timesteps", "1536", "--local-workers", "1")
-            harness.train("--env", env_id, *SMALL, *steps, *args, run_dir=run_dir)
-        return run_dir
-
-    return run
 
 
 def expected(run_dir, count=50):

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from tests.support import SMALL, Harness
-
 SCREENLESS = {"DISPLAY": "", "WAYLAND_DISPLAY": ""}
 needs_egl = pytest.mark.skipif(
     ctypes.util.find_library("EGL") is None, reason="there is no libEGL to draw with"
@@ -21,19 +19,10 @@ needs_ffmpeg = pytest.mark.skipif(
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    """A small run of an environment, trained when it is first asked for."""
-    harness = Harness(tmp_path_factory.mktemp("train"))
-
-    def run(env_id):
-        run_dir = harness.folder / env_id
-        limit = json.dumps({"max_episode_steps": 60})
-        args = ("--env", env_id, "--env-kwargs", limit, *SMALL, "--total-timesteps", "1024")
-        if not run_dir.exists():
-            harness.train(*args, "--local-workers", "1", run_dir=run_dir)
-        return run_dir
-
-    return run
+def runs(runs):
+    """Of episodes of 60 steps at most."""
+    limit = json.dumps({"max_episode_steps": 60})
+    return lambda env_id: runs(env_id, "--env-kwargs", limit)
 
 
 def video(harness, run_dir, name, *words, **environment):

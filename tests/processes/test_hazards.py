@@ -13,17 +13,14 @@ from dppo.errors import UsageError
 from tests.bits import assert_same, compare, random_actions, trained_actions
 from tests.support import SMALL
 from workers import hazards
-from workers.envs import exactness, make_env, make_vec, quiet
+from workers.envs import exactness, make_env, make_vec
 from workers.hazardous_vec import HazardousVec
+
+pytestmark = pytest.mark.usefixtures("quiet_libraries")
 
 IDS = list(hazards.ids())
 BOTH: dict[str, Any] = {"noise_std": 0.2, "risk": 3.0, "threshold": 0.1}
 """Both hazards at once, the second one often."""
-
-
-@pytest.fixture(autouse=True)
-def _quiet():
-    quiet()
 
 
 @pytest.mark.parametrize("env_id", IDS)

@@ -16,7 +16,7 @@ from dppo.wire.memory_links import MemoryHub
 from dppo.wire.socket_links import Alarm, SocketLearnerLink
 from learner import local
 from learner.local import LocalWorkers
-from tests.support import ROOT, descendants, is_alive, state_of, wait_until
+from tests.support import ROOT, SMALL, descendants, is_alive, iterations, state_of, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -94,6 +94,34 @@ def test_a_file_of_the_users_with_our_name_is_not_started(tmp_path):
         )
         assert "not ours" not in done.stdout
         assert "usage:" in done.stdout
+
+
+@pytest.fixture
+def on_cores():
+    """What is started from here on may use so many of our cores."""
+    mine = os.sched_getaffinity(0)
+
+    def restrict(count):
+        if len(mine) < count:
+            pytest.skip(f"there are fewer than {count} cores")
+        os.sched_setaffinity(0, sorted(mine)[:count])
+
+    yield restrict
+    os.sched_setaffinity(0, mine)
+
+
+@pytest.mark.parametrize(("cores", "slots", "workers"), [(1, 8, 1), (2, 8, 2), (2, 1, 1)])
+def test_without_a_number_there_is_one_worker_per_core_and_at_most_one_per_slot(
+    harness, on_cores, cores, slots, workers
+):
+    on_cores(cores)
+    run_dir = harness.folder / "run"
+    learner = harness.learner(
+        "--env", "CartPole-v1", *SMALL, "--slots", str(slots), run_dir=run_dir
+    )
+    wait_until(lambda: iterations(run_dir) >= 1, "an iteration")
+    assert len(descendants(learner.popen.pid)) == workers
+    assert f"; {workers} local workers; " in learner.text
 
 
 def test_a_worker_that_holds_the_interpreter_or_is_stopped_dies_with_its_learner():

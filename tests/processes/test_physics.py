@@ -6,13 +6,9 @@ import gymnasium
 import mujoco
 import pytest
 
-from workers.envs import quiet
 from workers.physics import contact_pairs, tuned, without_timer
 
-
-@pytest.fixture(autouse=True)
-def _quiet():
-    quiet()
+pytestmark = pytest.mark.usefixtures("quiet_libraries")
 
 
 def test_the_pairs_are_those_that_the_engine_finds():

@@ -13,10 +13,12 @@ from dppo.distributions import distribution_of
 from dppo.networks import Networks
 from dppo.normalizer import Statistics
 from dppo.rollout import Replay
-from workers.envs import exactness, make_env, quiet, spaces_of
+from workers.envs import exactness, make_env, spaces_of
 from workers.episodes import Episodes, Row
 from workers.failures import EnvironmentFailedError
 from workers.slots import Slots
+
+pytestmark = pytest.mark.usefixtures("quiet_libraries")
 
 MUJOCO = [
     ("Hopper-v5", {}), ("Ant-v4", {}), ("Ant-v4", {"use_contact_forces": True}), ("Ant-v5", {}),
@@ -24,11 +26,6 @@ MUJOCO = [
 ]  # fmt: skip
 LIMIT = 60
 """Steps per episode: short, so that captures fall into first, second and third episodes."""
-
-
-@pytest.fixture(autouse=True)
-def _quiet():
-    quiet()
 
 
 def episodes(env_id, exact=True, slot=0, **kwargs):

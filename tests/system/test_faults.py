@@ -146,6 +146,24 @@ def test_sigterm_leaves_a_checkpoint_and_exit_code_0(harness, undisturbed):
     assert harness.train(*command, run_dir=run_dir)["parameters_sha256"] == undisturbed
 
 
+def test_a_second_signal_ends_a_learner_at_once_without_a_checkpoint(harness):
+    """Both come while it is stopped: the first cannot end it before the second is there."""
+    run_dir = harness.folder / "run"
+    command = (*RUN, "--checkpoint-every", "1000", "--local-workers", "2")
+    learner = harness.learner(*command, run_dir=run_dir)
+    wait_until(lambda: iterations(run_dir) >= 2, "two iterations")
+    workers = descendants(learner.popen.pid)
+    learner.send(signal.SIGSTOP)
+    wait_until(lambda: state_of(learner.popen.pid) == "T", "the learner to stop")
+    learner.send(signal.SIGTERM)
+    learner.send(signal.SIGINT)  # another one: of one kind, two would be one
+    learner.send(signal.SIGCONT)
+    assert learner.wait() in (128 + signal.SIGTERM, 128 + signal.SIGINT), learner.text
+    assert checkpoints(run_dir) == []
+    assert not (run_dir / "result.json").exists()
+    wait_until(lambda: not any(map(is_alive, workers)), "its workers to end")
+
+
 def test_a_stopped_worker_is_given_up_and_rejoins(harness, undisturbed):
     """The other one is killed then: only the one that has come back can finish the run."""
     address, run_dir = free_address(), harness.folder / "run"

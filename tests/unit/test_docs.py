@@ -3,9 +3,14 @@
 import re
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import pytest
+
+from dppo.config import Config
+from learner.__main__ import _ALIASES, ProcessArgs
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = (
@@ -55,6 +60,44 @@ def test_every_flag_in_the_readme_tables_is_in_the_learner_help():
     in_tables = flags_in_tables(ROOT / "README.md")
     assert {"--psi", "--seed", "--slots"} <= in_tables
     assert in_tables - in_help == set()
+
+
+DEFAULTS = {
+    name.replace("_", "-"): value
+    for group in (*asdict(Config()).values(), asdict(ProcessArgs()))
+    for name, value in group.items()
+}
+IN_WORDS = {"one per core, at most W": -1}
+"""See test_local_workers."""
+
+
+def number_or_word(text):
+    """What a cell says is the default: `-1: as λ` is -1."""
+    if text in IN_WORDS:
+        return IN_WORDS[text]
+    first = text.strip("`").partition(":")[0]
+    try:
+        return float(first.replace(",", ""))
+    except ValueError:
+        return first
+
+
+def test_every_default_in_the_readme_tables_is_the_programs():
+    told: dict[str, Any] = {}
+    rows = re.findall(r"^\| (`--.*) \|$", prose(ROOT / "README.md"), flags=re.MULTILINE)
+    for flags, _, default, *_ in (map(str.strip, row.split("|")) for row in rows):
+        names = re.findall(r"--([a-z-]+)", flags)
+        defaults = default.split(", ") if len(names) > 1 else [default]
+        told |= dict(zip(names, map(number_or_word, defaults), strict=True))
+    assert told == {name: DEFAULTS[name] for name in told}
+    assert len(told) > 20
+
+
+def test_the_readme_names_the_aliases_that_there_are():
+    _, _, after = prose(ROOT / "README.md").partition("\nNames from other trainers")
+    named = set(re.findall("`(-[^`]*)`", after.partition("\n\n")[0]))
+    assert set(_ALIASES) <= named
+    assert {name.removeprefix("--") for name in named - set(_ALIASES)} <= set(DEFAULTS)
 
 
 RELIABILITY = ROOT / "docs" / "reliability.md"
