@@ -140,10 +140,7 @@ def open_connecting(address: str) -> zenoh.Session | None:
 
 
 def _opened_beside(config: zenoh.Config) -> zenoh.Session | BaseException:
-    """Open in another thread: with somebody who listens and never answers it takes ten seconds.
-
-    In this thread no signal would be heard meanwhile.
-    """
+    """In another thread: where nobody answers it takes ten seconds, and no signal is heard in it."""
     outcome: queue.SimpleQueue[zenoh.Session | BaseException] = queue.SimpleQueue()
 
     def work() -> None:
