@@ -140,7 +140,7 @@ def open_connecting(address: str) -> zenoh.Session | None:
 
 
 def _opened_beside(config: zenoh.Config) -> zenoh.Session | BaseException:
-    """In another thread: where nobody answers it takes ten seconds, and no signal is heard in it."""
+    """In another thread: where nobody answers it takes ten seconds, and no signal is heard."""
     outcome: queue.SimpleQueue[zenoh.Session | BaseException] = queue.SimpleQueue()
 
     def work() -> None:
