@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ BLOCKED_SECONDS = 0.5
 """`wait_before_close` in docs/protocol.md: how long a full queue holds up the learner."""
 SLEEPER = """
 import sys
+from functools import partial
 from dppo.wire.messages import Hello
 from dppo.wire.zenoh_links import ZenohWorkerLink, open_connecting
 link = ZenohWorkerLink(open_connecting(sys.argv[1]), "sleeper")
@@ -70,7 +72,7 @@ def learner(address):
 def worker_at(address, name):
     session = open_connecting(address)
     assert session is not None
-    return ZenohWorkerLink(session, name)
+    return ZenohWorkerLink(session, name, partial(open_connecting, address))  # as the program
 
 
 @pytest.fixture
