@@ -1,8 +1,6 @@
 """Workers of the benchmarks on socket pairs, started and looked after as the learner does it."""
 
-import subprocess
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -10,7 +8,7 @@ from benchmarks.puppets import Puppet
 from dppo.wire.links import LearnerLost, Refused, WorkerLink
 from dppo.wire.socket_links import Alarm, SocketLearnerLink
 from dppo.wire.zenoh_links import ZenohLearnerLink
-from learner.local import LocalWorkers, _Child
+from learner.local import LocalWorkers
 
 Serve = Callable[[str, WorkerLink], None]
 
@@ -32,18 +30,8 @@ class Pairs(LocalWorkers):
         for child in filter(None, self._children.values()):
             child.process.wait(timeout=60)
 
-    def _spawn(self, index: int, restart: int) -> _Child:
-        name = f"local-{index}" + (f"-{restart}" if restart else "")
-        inherited = self.link.adopt(name)
-        descriptors = [str(descriptor) for descriptor in inherited.descriptors]
-        process = subprocess.Popen(
-            [sys.executable, "-m", self.module, "--name", name, "--socket", *descriptors],
-            stdin=subprocess.DEVNULL,
-            pass_fds=inherited.descriptors,
-            start_new_session=True,
-        )
-        inherited.close()
-        return _Child(name, process, time.monotonic())
+    def _command(self, name: str, *descriptors: str) -> list[str]:
+        return [sys.executable, "-m", self.module, "--name", name, "--socket", *descriptors]
 
 
 def serve_puppet(name: str, link: WorkerLink, size: int) -> None:

@@ -14,7 +14,7 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
-from typing import NoReturn, TypeVar
+from typing import NoReturn, TextIO, TypeVar
 
 from dppo.errors import DppoError, UsageError
 
@@ -167,24 +167,20 @@ def leave(work: Callable[[], int]) -> NoReturn:
 def _exit_code(work: Callable[[], int]) -> int:
     try:
         return work()
-    except UsageError as error:
-        return _say(error, 2)
-    except (DppoError, OSError) as error:
-        return 0 if isinstance(error, BrokenPipeError) else _say(error, 1)
-    except (KeyboardInterrupt, Terminated):
+    except (KeyboardInterrupt, Terminated, BrokenPipeError):
         return 0
+    except (DppoError, OSError) as error:
+        say(f"error: {error}", sys.stderr)
+        return 2 if isinstance(error, UsageError) else 1
     except Exception:
         traceback.print_exc()  # a bug of ours; the interpreter would now wait for all threads
         return 1
 
 
-def say(text: str) -> None:
-    """One line, if anybody takes it: a full disk or a closed pipe costs the line, not the run."""
+def say(text: str, stream: TextIO | None = None) -> None:
+    """One line, to stdout unless told otherwise, if anybody takes it.
+
+    A full disk or a closed pipe costs the line, not the run.
+    """
     with contextlib.suppress(OSError):
-        print(text, flush=True)
-
-
-def _say(error: Exception, code: int) -> int:
-    with contextlib.suppress(OSError):  # nobody takes it; the exit code says it
-        print(f"error: {error}", file=sys.stderr)
-    return code
+        print(text, file=stream, flush=True)

@@ -136,11 +136,9 @@ class LocalWorkers:
     def _spawn(self, index: int, restart: int) -> _Child:
         name = f"local-{index}" + (f"-{restart}" if restart else "")
         inherited = self.link.adopt(name)
-        descriptors = map(str, inherited.descriptors)
-        verbose = "--verbose" if self.verbose else "--no-verbose"
         try:
             process = subprocess.Popen(
-                own_program("workers", "--socket", *descriptors, "--name", name, verbose),
+                self._command(name, *map(str, inherited.descriptors)),
                 stdin=subprocess.DEVNULL,
                 pass_fds=inherited.descriptors,
                 start_new_session=True,
@@ -151,6 +149,10 @@ class LocalWorkers:
         finally:
             inherited.close()
         return _Child(name, process, time.monotonic())
+
+    def _command(self, name: str, *descriptors: str) -> list[str]:
+        verbose = "--verbose" if self.verbose else "--no-verbose"
+        return own_program("workers", "--socket", *descriptors, "--name", name, verbose)
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

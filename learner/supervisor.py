@@ -9,7 +9,6 @@ with 2 (wrong usage: it would end so again); one that a signal ended or that fai
 times in all. So is a restart that ends with 2: the usage was right, something else is in the way.
 """
 
-import contextlib
 import os
 import signal
 import subprocess
@@ -19,7 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from dppo.backoff import Backoff
-from dppo.process import own_program
+from dppo.process import own_program, say
 from dppo.signals import Signals
 
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 30.0
@@ -91,7 +90,7 @@ def supervise(command: Sequence[str], again: Sequence[str], restarts: int) -> in
         lived = time.monotonic() - begun
         pause = supervision.pause_after(code, lived)
         if sentence := supervision.sentence(code, lived, pause):
-            _say(sentence)
+            say(f"supervisor: {sentence}", sys.stderr)
         if pause is None:
             return exit_code(code)
         if (number := signals.next_request(pause)) is not None:
@@ -103,16 +102,9 @@ def _start(words: Sequence[str], signals: Signals) -> tuple[int, bool]:
     try:
         child = subprocess.Popen(words, stdin=subprocess.DEVNULL, start_new_session=True)
     except OSError as error:
-        _say(f"the learner cannot be started: {error}")
+        say(f"supervisor: the learner cannot be started: {error}", sys.stderr)
         return 1, False
     return _watch(child, signals)
-
-
-def _say(sentence: str) -> None:
-    """To stderr, if anybody takes it: a full disk or a closed pipe must not end the guard."""
-    with contextlib.suppress(OSError):
-        sys.stderr.write(f"supervisor: {sentence}\n")
-        sys.stderr.flush()
 
 
 def _watch(child: subprocess.Popen[bytes], signals: Signals) -> tuple[int, bool]:
