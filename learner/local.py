@@ -3,6 +3,7 @@
 import contextlib
 import logging
 import math
+import signal
 import socket
 import subprocess
 import time
@@ -19,6 +20,10 @@ _MOST_FAILED_STARTS = 2
 """With none that lived longer between them, the last by an exit code."""
 _MOST_YOUNG_DEATHS = 20
 """The same, by a signal: somebody may be killing them on purpose."""
+_HINTS = {
+    -signal.SIGKILL: " (SIGKILL: from somebody, or from the system for want of memory)",
+    -signal.SIGSEGV: " (SIGSEGV: its environment touched memory that is not its own)",
+}
 _END_SECONDS = 3.0
 _END_LOOK_SECONDS = 0.02
 _LOOK_SECONDS = 0.2
@@ -111,7 +116,8 @@ class LocalWorkers:
         return not why
 
     def _count_death(self, index: int, child: "_Child", code: int) -> None:
-        log.warning("local worker %d died with exit code %d; starting another", index, code)
+        what = f"{code}{_HINTS.get(code, '')}"
+        log.warning("local worker %d died with exit code %s; starting another", index, what)
         if time.monotonic() - child.born > _TROUBLE_SECONDS:
             return
         self._young_deaths += 1

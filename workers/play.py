@@ -6,6 +6,7 @@ row, with however many rows.
 Shape letters: n rows · O observation size · K numbers of noise per action.
 """
 
+import logging
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -19,6 +20,7 @@ from workers.envs import Adapter, training_vec
 from workers.failures import RowFailedError
 from workers.policy import FrozenPolicy
 
+log = logging.getLogger("evaluation")
 Float64 = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Start = Literal["free", "fixed"]
@@ -28,6 +30,8 @@ _SLOT = 2**31
 """No slot of a training run has this number, so no start state is shared with training."""
 _NOISE_STEPS = 64
 """Steps whose noise is drawn at once."""
+_LONG_STEPS = 100_000
+"""An episode that reaches so many is worth a word: it may never end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,6 +194,7 @@ class _Stage:
         self.obs = self._flat(found)
         self._check(reward)
         self._steps += 1
+        self._remark()
         self._total += reward
         self._discounted += self._weight * reward
         self._weight *= self._policy.config.returns.gamma
@@ -197,6 +202,14 @@ class _Stage:
             for row, rewards in enumerate(self._rewards):
                 rewards.append(float(reward[row]))
         return terminated, terminated | truncated
+
+    def _remark(self) -> None:
+        if self._steps.max() == _LONG_STEPS:
+            log.warning(
+                "an episode of %s has lasted %d steps; an environment without a time limit goes "
+                "on until the policy ends it. Ctrl-C stops this; a run made with --env-kwargs "
+                "'{\"max_episode_steps\": 1000}' has a limit", self._name(), _LONG_STEPS,
+            )  # fmt: skip
 
     def _draw(self) -> NDArray[np.float32] | None:
         """[n, K] each row's next noise, from its own stream."""
@@ -227,8 +240,10 @@ class _Stage:
 
     def failure(self, row: int, what: str) -> RunFailedError:
         """The sentence for a row that failed."""
-        name = self.vec.spec.id if self.vec.spec else type(self.vec).__name__
         return RunFailedError(
-            f"{name} {what} at step {self._steps[row]} of an episode with reset seed "
+            f"{self._name()} {what} at step {self._steps[row]} of an episode with reset seed "
             f"{self._plan(row).reset_seed}"
         )
+
+    def _name(self) -> str:
+        return self.vec.spec.id if self.vec.spec else type(self.vec).__name__

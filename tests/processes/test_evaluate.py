@@ -115,6 +115,17 @@ def test_a_failing_environment_ends_the_evaluation_with_its_reset_seed(runs):
         evaluate(policy_of(checkpoint), episodes=2, deterministic=True, seed=0)
 
 
+def test_an_episode_that_may_never_end_is_remarked_upon_once(runs, monkeypatch, caplog):
+    policy = policy_of(newest(runs("tests.odd_envs:Walk-v0")))
+    monkeypatch.setattr("workers.play._LONG_STEPS", 17)
+    evaluate(policy, episodes=4, deterministic=False, seed=0)  # of 16 steps each
+    assert not caplog.messages
+    monkeypatch.setattr("workers.play._LONG_STEPS", 16)
+    evaluate(policy, episodes=4, deterministic=False, seed=0, rows=4)
+    (said,) = caplog.messages
+    assert said.startswith("an episode of Walk-v0 has lasted 16 steps;")
+
+
 def test_dppo_eval_prints_mean_spread_tail_falls_and_intervals(harness, run_dir):
     words = ("--episodes", "12", "--fixed-start", "--json", "--rows", "5")
     process = harness.start("dppo", "eval", str(run_dir), *words)

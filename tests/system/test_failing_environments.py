@@ -14,8 +14,8 @@ RUN = (
 SAID = {
     "hang": "alive but without progress for",
     "hold": "silent for",
-    "segfault": "died with exit code -11",
-    "memory": "died with exit code -9",
+    "segfault": "died with exit code -11 (SIGSEGV",
+    "memory": "died with exit code -9 (SIGKILL: from somebody, or from the system for want",
     "exit": "died with exit code 3",
     "raise": "it is tried once more",
 }
