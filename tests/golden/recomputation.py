@@ -24,6 +24,7 @@ from tests.golden.recorded_run import (
     PSI,
     RATE,
     SLOTS,
+    STD_RATE,
     STEPS,
     UPDATES,
     XI,
@@ -166,7 +167,9 @@ class Recomputation:
     def _step(self, parameters, gradient, number):
         """Clip each network's gradient, and one Adam step each, at the linear schedule's rate."""
         factor = 1 - number / ITERATIONS
-        rates = [factor * RATE, factor * CRITIC_RATE, factor * CRITIC_RATE]
+        policy_rates = np.full(self.policy.size, RATE)
+        policy_rates[self.policy.net.size :] *= STD_RATE
+        rates = [factor * policy_rates, factor * CRITIC_RATE, factor * CRITIC_RATE]
         return np.concatenate(
             [
                 adam.step(parameters[part], networks.clipped(gradient[part], MAX_NORM), rate)

@@ -44,7 +44,8 @@ TRAINED = range(1, ITERATIONS)
 HIDDEN = (16, 16)
 XI, PSI = 50.0, 0.1
 GAMMA, LAMBDA = 0.98, 0.9
-RATE, CRITIC_RATE, MAX_NORM, EPS = 1e-2, 1e-3, 0.5, 1e-5
+RATE, STD_RATE, CRITIC_RATE, MAX_NORM, EPS = 1e-2, 3.0, 1e-3, 0.5, 1e-5
+"""Learning rates: of the policy, of log std as a factor of that, of the critics."""
 
 # Short time limits, so that there are truncations beside terminations; windows are cut at 32 and
 # 64. KL targets low enough that the hinge of the objective acts.
@@ -75,7 +76,7 @@ def config_of(env):
             num_minibatches=2,
         ),
         kl=KlConfig(kl_target=kl_target, kl_stop=1e6),
-        network=NetworkConfig(hidden_sizes=HIDDEN, log_std_init=-0.5),
+        network=NetworkConfig(hidden_sizes=HIDDEN, log_std_init=-0.5, log_std_rate=STD_RATE),
     )
 
 

@@ -143,7 +143,7 @@ class Adam:
         self.m, self.v, self.t = np.zeros(size), np.zeros(size), 0
         self.eps, self.beta1, self.beta2 = eps, beta1, beta2
 
-    def step(self, flat: Array, gradient: Array, rate: float) -> Array:
+    def step(self, flat: Array, gradient: Array, rate: float | Array) -> Array:
         self.t += 1
         self.m = self.beta1 * self.m + (1 - self.beta1) * gradient
         self.v = self.beta2 * self.v + (1 - self.beta2) * gradient**2
