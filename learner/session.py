@@ -14,6 +14,7 @@ from dppo.deadlines import Deadlines
 from dppo.errors import UsageError
 from dppo.leases import Leases
 from dppo.networks import Networks
+from dppo.sources import code_hash
 from dppo.statistics import cvar
 from dppo.store.checkpoint import Checkpoint, newest_checkpoint, sha256
 from dppo.store.contents import SNAPSHOT_FORM, check_snapshots
@@ -223,6 +224,7 @@ class Session:
         assert ready is not None
         return {
             "versions": {name: version(name) for name in _VERSIONS},
+            "code": code_hash(),
             "numerics": self._exchange.roster.numerics,
             "environment": {
                 **self._spaces(),

@@ -82,6 +82,8 @@ class Calibration:
     along_ratio: float | None
     """Along the trajectories: √(mean of σ(s_t) / mean of (G_t − V(s_t))²); None: nothing shows."""
     along_ratio_interval: Interval | None
+    along_squares_ratio: float | None
+    """The same against the mean of Σ γ̄^l δ², which σ is trained on: errors of V are not in it."""
     bins: tuple[Bin, ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -95,8 +97,7 @@ class _Spread:
 
     sigma: Float64  # [T]  σ(s_t), reward²
     error: Float64  # [T]  G_t − V(s_t), reward
-    squares: float
-    """Σ γ̄^l δ_l²."""
+    squares: Float64  # [T]  Σ γ̄^l δ_{t+l}², reward²
     discounted: float
     shown: int
     """Steps whose σ can show before the time limit."""
@@ -162,7 +163,7 @@ class Calibrator:
         return _Spread(
             sigma=found.sigma[:, 0] / unit,
             error=found.value.advantage[:, 0] / scale,
-            squares=float(found.variance.target[0, 0] / unit),
+            squares=found.variance.target[:, 0] / unit,
             discounted=episode.discounted,
             shown=max(0, shown),
         )
@@ -189,10 +190,11 @@ class Calibrator:
             starts=tuple(starts),
             ratio=float(ratio(errors)),
             ratio_interval=intervals(errors.T, {"": ratio}, rng)[""],
-            along_ratio=float(_ratio_along(along.T)) if len(along) else None,
+            along_ratio=_or_none(along),
             along_ratio_interval=(
                 intervals(along, {"": _ratio_along}, rng)[""] if len(along) else None
             ),
+            along_squares_ratio=_or_none(_along(everything, squares=True)),
             bins=_bins(everything),
         )
 
@@ -227,7 +229,7 @@ def _from_start(place: int, found: Sequence[_Spread], rng: np.random.Generator) 
         empirical_std_interval=bounds["std"],
         ratio=float(measures["ratio"](errors.T)),
         ratio_interval=bounds["ratio"],
-        squares_std=float(np.sqrt(np.mean([spread.squares for spread in found]))),
+        squares_std=float(np.sqrt(np.mean([spread.squares[0] for spread in found]))),
         v_error=float(errors.mean()),
         discounted_std=float(np.std([spread.discounted for spread in found], ddof=1)),
     )
@@ -240,15 +242,22 @@ def _ratio_to(sigma: float) -> Measure:
     )
 
 
-def _along(found: Sequence[_Spread]) -> Float64:
-    """[N, 2] sums over the steps of each episode: of σ(s_t), and of (G_t − V(s_t))²."""
+def _along(found: Sequence[_Spread], *, squares: bool = False) -> Float64:
+    """[N, 2] sums over the steps of each episode: of σ(s_t), and of (G_t − V(s_t))².
+
+    With `squares`, of Σ γ̄^l δ² in place of the latter.
+    """
     return np.array(
         [
-            [s.sigma[: s.shown].sum(), np.square(s.error[: s.shown]).sum()]
+            [part[: s.shown].sum() for part in (s.sigma, s.squares if squares else s.error**2)]
             for s in found
             if s.shown > 0
         ]
     ).reshape(-1, 2)
+
+
+def _or_none(along: Float64) -> float | None:
+    return float(_ratio_along(along.T)) if len(along) else None
 
 
 def _ratio_along(sample: Float64) -> Float64:

@@ -134,6 +134,7 @@ def test_an_exact_sigma_is_calibrated(lambda_ret):
     low, high = found.ratio_interval
     assert 0.9 < low < 1 < high < 1.1
     assert found.along_ratio == pytest.approx(1, abs=0.05)
+    assert found.along_squares_ratio == pytest.approx(1, rel=1e-5)
     tenths = {round(part.predicted_std, 3) for part in found.bins}
     assert tenths >= {round(float(np.sqrt(exact_sigma(lambda_ret).min())), 3)}
 
@@ -150,6 +151,7 @@ def test_a_sigma_that_is_four_times_too_large_shows_as_a_ratio_of_two():
     _, wrong = calibrated(checkpoint(sigma_factor=4.0))
     assert wrong.ratio == pytest.approx(2 * right.ratio, rel=1e-6)
     assert wrong.along_ratio == pytest.approx(2 * right.along_ratio, rel=1e-6)
+    assert wrong.along_squares_ratio == pytest.approx(2, rel=1e-5)
 
 
 def test_an_error_of_v_shows_along_the_trajectories_and_in_its_own_column():
@@ -166,6 +168,7 @@ def test_steps_near_a_time_limit_are_left_out_along_the_trajectories():
     """γ̄ = 0.81: what lies 22 steps ahead still counts for a hundredth; episodes have 4 steps."""
     _, found = calibrated(checkpoint(endless=True), episodes=20)
     assert (found.along_ratio, found.along_ratio_interval, found.bins) == (None, None, ())
+    assert found.along_squares_ratio is None
     assert found.ratio > 0
 
 
