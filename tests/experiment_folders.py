@@ -57,7 +57,8 @@ def evaluated(spread, score, fell=False):
             for sign in (-1, -1, 1, 1)
         ],
         "calibration": {
-            "ratio": score / 4000, "along_ratio": 1.25, "lambda_ret": 1.0,
+            "ratio": score / 4000, "along_ratio": 1.25, "along_squares_ratio": 1.1,
+            "lambda_ret": 1.0,
             "starts": [{"predicted_std": 3.0, "empirical_std": 3.0},
                        {"predicted_std": 5.0, "empirical_std": 4.0}],
         },

@@ -9,7 +9,11 @@ from dppo.experiment.measure import Cell
 
 GOAL = 1.25
 """Predicted over empirical standard deviation, or its inverse, at most."""
-_RATIOS = {"along_ratio": "along", "ratio": "start"}
+_RATIOS = {
+    "along_ratio": "along",
+    "along_squares_ratio": "along_squares",
+    "ratio": "start",
+}
 _OF_STARTS = ("predicted_std", "empirical_std", "squares_std")
 
 

@@ -168,6 +168,7 @@ def _across_seeds(cell: Cell, base: Cell, count: int, label: str) -> dict[str, A
     if min(len(ours), len(theirs)) > 1:
         found["probability_of_improvement_interval"] = improvement_interval(ours, theirs, label)
         found["stds"] = [float(spread(ours)), float(spread(theirs))]
+        found["distances"] = [float(np.abs(one - np.median(one)).mean()) for one in (ours, theirs)]
         found["std_ratio"] = _ratio(*found["stds"])
         found["std_ratio_interval"] = spread_ratio_interval(ours, theirs)
     return found

@@ -81,7 +81,7 @@ def _policies(env: str, arms: Sequence[Cell]) -> Any:  # noqa: ANN401  matplotli
             low, middle, high = np.quantile(row, (0.1, 0.5, 0.9))
             axes.plot([at, at], [low, high], color=colour, linewidth=3, solid_capstyle="butt")
             axes.plot([at - 0.35, at + 0.35], [middle, middle], color=colour)
-            worst = np.sort(row)[: max(1, len(row) // 10)]
+            worst = np.sort(row)[: max(1, -(-len(row) // 10))]
             axes.plot(np.full(len(worst), at), worst, ".", color=colour, markersize=2)
             at += 1
         at += 1

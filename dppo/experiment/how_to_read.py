@@ -1,31 +1,42 @@
 """The report's explanations of its tables."""
 
+from dppo.experiment.claims import claims as all_claims
 from dppo.experiment.compare import LAST
 from dppo.experiment.results import Results
 from dppo.experiment.significance import power_of_brown_forsythe
 from dppo.experiment.tables import arms_of
 
 POLICIES = (
-    "Of the final policy of each seed, not the best, with sampled actions as in training; the "
-    "same start states for all arms and seeds. *Std*: standard deviation over the episodes of one "
-    "policy, mean over seeds; brackets there: 95 %, episodes resampled within resampled seeds, "
-    "too narrow with few seeds. *Falls*: share of episodes that terminated; Student's interval "
-    "over seeds, or the exact one of all episodes where all seeds agree. Against the baseline one "
-    "number a seed is compared, with Welch's 95 % interval: ratios are of geometric means over "
-    "seeds, by logarithms. *30 % less spread for 5 % of the mean*: *yes* if the interval of the "
-    "ratio of spreads is below 0.7 and that of the means above 0.95, *no* if one of them excludes "
-    "that, else *open*. Where episodes end in falls, the undiscounted spread is mostly that of "
-    "their lengths; the discounted one shows the next hundred steps or so."
+    "Of the final policy of each seed, not the best, with sampled actions as in training; the"
+    " same start states for all arms and seeds. *Std*: standard deviation over the episodes "
+    "of one policy, mean over seeds; brackets there: 95 %, episodes resampled within "
+    "resampled seeds, too narrow with few seeds. *Falls*: share of episodes that terminated; "
+    "Student's interval over seeds; where all seeds agree, or there is one, the exact one of "
+    "the episodes of these policies, which says nothing of other seeds. Of a single seed all "
+    "brackets are of its episodes alone. Against the baseline one number a seed is compared, "
+    "with Welch's 95 % interval: ratios are of geometric means over seeds, by logarithms. *30"
+    " % less spread for 5 % of the mean*: *yes* if the interval of the ratio of spreads is "
+    "below 0.7 and that of the means above 0.95, *no* if one of them excludes that, else "
+    "*open*. Where episodes end in falls, the undiscounted spread is mostly that of their "
+    "lengths; the discounted one shows the next hundred steps or so."
 )
 SIGMA = (
-    "σ predicts the variance of the λ-return; its root is set beside the standard deviation of "
-    "what was played. *Along the way*: over the states of the evaluation episodes from the fixed "
-    "start, but for those near the time limit, against returns minus V. *At the start*: in that "
-    "one state, over its episodes; where "
-    "nearly nothing is random yet, σ's error there is large against so small a spread. *From its "
-    "TD errors*: the root of the mean discounted sum of squared TD errors, which is what σ is "
-    "trained on; it differs from the empirical one as far as V is wrong. Ratios: geometric means "
+    "σ predicts the variance of the λ-return; its root is set beside the standard deviation "
+    "of what was played. *Along the way*: over the states of the evaluation episodes from the"
+    " fixed start, but for those near the time limit, against returns minus V, so errors of V"
+    " count; *from TD errors*, against the mean discounted sum of squared TD errors, which σ "
+    "is trained on. *At the start*: in that one state, over its episodes; where nearly "
+    "nothing is random yet, σ's error there is large against so small a spread. Its *from TD "
+    "errors* differs from the empirical one as far as V is wrong. Ratios: geometric means "
     "over seeds."
+)
+TOGETHER = (
+    "*Mean* and *IQM* are over environments and seeds, each score in units of the baseline's "
+    "mean there; the interquartile mean leaves out the lowest and the highest quarter, which "
+    "may be a whole environment. Ratios are geometric means over environments of the ratios "
+    "in the tables; brackets: Student's 95 % interval of their logarithms, environments taken"
+    " as a sample. They are the report's primary comparison of spreads: a single environment "
+    "shows little with few seeds."
 )
 
 
@@ -44,21 +55,22 @@ def training(results: Results) -> str:
     )
     return (
         f"Mean return of the last {last} training episodes of each seed; ± is the standard "
-        "deviation across seeds (n - 1). *IQM*: interquartile mean over seeds. Brackets: 95 % "
-        "intervals; of the IQM and of the probability of improvement by resampling seeds within "
-        "each arm, too narrow with few seeds; of the difference by Welch; of the ratio of spreads "
-        "by F, which takes scores to be normal. *P(better)*: that a seed of this arm beats one of "
-        "the baseline. *p, ranks*: Mann and Whitney's test of that. *p, spread*: Brown-Forsythe, "
+        "deviation across seeds (n - 1). *IQM*: interquartile mean over seeds, with fewer than "
+        "four the mean. Brackets: 95 % intervals; of the IQM and of the probability of "
+        "improvement by resampling seeds within each arm, too narrow with few seeds; of the "
+        "difference by Welch; of the ratio of spreads by F, which takes scores to be normal. "
+        "*P(better)*: that a seed of this arm beats one of the baseline. *p, ranks*: Mann and "
+        "Whitney's test of that. *p, spread*: Brown-Forsythe, "
         f"of equal spreads across seeds.{_power(results)} Judged at 5 %, each on its own: of "
         f"{compared} comparisons of arms that are equal, up to {0.05 * compared:.2g} would look "
-        f"different in each column.{_short_runs(results)}{tests}"
+        "different in each column, and all arms lean on the same baseline runs, so they err "
+        f"together.{_short_runs(results)}{tests}"
     )
 
 
 def _power(results: Results) -> str:
     """How little the test of spreads can find with so few seeds."""
-    counts = [len(arm["seeds"]) for _, _, arm in arms_of(results) if arm["seeds"]]
-    seeds = min(counts, default=0)
+    seeds = max((len(arm["seeds"]) for _, _, arm in arms_of(results)), default=0)
     powers = [power_of_brown_forsythe(seeds, times) for times in (0.5, 0.25)]
     if None in powers:
         return ""
@@ -77,20 +89,24 @@ def _short_runs(results: Results) -> str:
 
 def claims(results: Results) -> str:
     """How these runs differ from the paper's."""
-    other = results["unlike_the_paper"]
+    other, judged = results["unlike_the_paper"], len(list(all_claims(results)))
     return (
         "Not the paper's experiment again, but its question: other versions of the environments, "
         "of MuJoCo and of the trainer. Settings that are not those of `--preset paper` on "
         f"{other['env']}: {', '.join(other['settings']) or 'none'}. The paper does not say how "
         "its ± was taken; the mean of each seed's last 200 episodes, and the standard deviation "
-        "of those means, is what its words say. Each claim is judged on its own, at 5 %."
+        "of those means, is what its words say. Each claim is judged on its own, at 5 %: of "
+        f"{judged} that say nothing true, up to {0.05 * judged:.2g} would be judged one way or "
+        "the other, and reports of a growing grid, looked at again and again, err more often."
     )
 
 
 def best_seeds(results: Results) -> str:
     """How they were chosen, and how to see one again."""
+    found = [arm["evaluation"] for _, _, arm in arms_of(results)]
+    counts = sorted({one[start]["episodes_per_seed"] for one in found for start in one})
     return (
         "Chosen by the last 100 training episodes. The two last columns, mean ± standard "
         "deviation, are `return_mean` and `return_std` of `dppo eval RUN --which newest "
-        f"--episodes {results['evaluation_episodes']} --fixed-start`; `dppo watch RUN` shows one."
+        f"--episodes {' or '.join(map(str, counts))} --fixed-start`; `dppo watch RUN` shows one."
     )

@@ -3,7 +3,8 @@
     plan.json, failures.json, results.json, curves.csv, report.md, report.html, *.png
     runs/<name>/    of a finished run: config.json, result.json, evaluation.json, its learning
                     curve as metrics.jsonl, its last training episodes as episodes.jsonl, and of
-                    each arm's best seed the newest checkpoint
+                    each arm's best seed, and of one that is still to be evaluated, the newest
+                    checkpoint
 
 It is a folder of an experiment itself: `dppo experiment report` gives the same report from it, and
 a copy of it goes on with more seeds where it stands.
@@ -42,7 +43,7 @@ def keep(folder: Folder, plan: Plan, out: Path) -> Path:
         _copy(folder.path, out, _OF_THE_GRID)
         for run in filter(folder.is_trained, plan.grid.runs):
             _keep_run(folder.run(run), kept.run(run))
-            if run.name in best:
+            if run.name in best or not folder.is_evaluated(run, plan.grid.evaluate):
                 _keep_policy(folder.run(run) / "checkpoints", kept.run(run) / "checkpoints")
         return write_report(kept, plan)
     except OSError as error:

@@ -62,6 +62,7 @@ def calibrations(results: Results) -> Table | None:
             f"{one['lambda_ret']:g}" if one["lambda_ret"] is not None else NOTHING,
             f"{one['seeds']}",
             _ratio(one.get("along")),
+            _ratio(one.get("along_squares")),
             _ratio(one.get("start")),
             *[
                 f"{one[name]['mean']:.3g}" if name in one else NOTHING
@@ -73,8 +74,8 @@ def calibrations(results: Results) -> Table | None:
     ]
     head = (
         "environment", "arm", "λ_ret", "seeds", "along the way: predicted / empirical",
-        "at the start: predicted / empirical", "predicted at the start", "from its TD errors",
-        "empirical",
+        "predicted / from TD errors", "at the start: predicted / empirical",
+        "predicted at the start", "from its TD errors", "empirical",
     )  # fmt: skip
     return Table(head, lines) if lines else None
 
@@ -92,15 +93,22 @@ def best_seeds(results: Results) -> Table | None:
 
 
 def calibration_sentence(results: Results) -> str:
-    """Where σ is right within a quarter, along the way and at the start."""
+    """Of how many policies σ is right within a quarter, along the way and at the start."""
     found = [one for _, _, arm in arms_of(results) if (one := arm["calibration"])]
     parts = []
     for name, words in (("along", "along the way"), ("start", "at the start")):
-        ratios = [one[name]["geometric_mean"] for one in found if name in one]
-        good = sum(1 / GOAL <= ratio <= GOAL for ratio in ratios)
-        if ratios:
-            parts.append(f"{words} in {good} of {len(ratios)} arms")
-    return f"Within 25 %, geometric mean over seeds: {'; '.join(parts)}."
+        arms = [one[name] for one in found if name in one]
+        seeds = [ratio for one in arms for ratio in one["by_seed"]]
+        if arms:
+            parts.append(
+                f"{words} of {_within(seeds)} policies (geometric mean over seeds: of "
+                f"{_within([one['geometric_mean'] for one in arms])} arms)"
+            )
+    return f"Within 25 %: {'; '.join(parts)}."
+
+
+def _within(ratios: list[float]) -> str:
+    return f"{sum(1 / GOAL <= ratio <= GOAL for ratio in ratios)} of {len(ratios)}"
 
 
 def _ratio(one: Any) -> str:  # noqa: ANN401  JSON

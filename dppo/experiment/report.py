@@ -34,6 +34,7 @@ from dppo.experiment.tables import (
     arms_of,
     beside_the_paper,
     claims_table,
+    every_seed,
     on_the_way,
     over_environments,
 )
@@ -85,12 +86,16 @@ def _blocks(results: Results, pictures: Sequence[tuple[str, str]]) -> Iterator[B
     yield Heading("Every arm: training returns")
     yield all_arms(results)
     yield Paragraph(how_to_read.training(results))
+    if (table := every_seed(results)) is not None:
+        yield Heading("Every seed: mean return of the last 100 training episodes")
+        yield table
     if (table := on_the_way(results)) is not None:
         yield Heading("On the way: mean return of the last 100 training episodes")
         yield table
     if (table := over_environments(results)) is not None:
         yield Heading("Over all environments")
         yield table
+        yield Paragraph(how_to_read.TOGETHER)
     yield from _evaluation(results)
     if pictures:
         yield Heading("Figures")
@@ -117,6 +122,9 @@ def _what_ran(results: Results) -> Iterator[Block]:
             "**This is a partial grid.** What follows is of the finished runs alone, and arms may "
             "have different seeds." + (f" Missing: {names}{more}." if missing else "")
         )
+    if runs["not_evaluated"]:
+        names = ", ".join(runs["not_evaluated"])
+        yield Paragraph(f"Trained, and not evaluated yet: {names}.")
     if runs["without_episodes"]:
         names = ", ".join(runs["without_episodes"])
         yield Paragraph(f"Left out, since no training episode has finished: {names}.")

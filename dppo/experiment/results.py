@@ -22,6 +22,7 @@ from dppo.experiment.statistics import (
     mean,
     resampled,
 )
+from dppo.experiment.together import together
 from dppo.presets import PRESETS
 
 Results = dict[str, Any]
@@ -37,15 +38,22 @@ def describe(folder: Folder, plan: Plan) -> tuple[Results, list[Cell]]:
     }
     trained = [run.name for run in grid.runs if folder.is_trained(run)]
     described = [one for cell in found for one in cell.finished]
+    unevaluated = [
+        run.name
+        for run in grid.runs
+        if run.name in trained and not folder.is_evaluated(run, grid.evaluate)
+    ]
+    environments = _environments(found, grid.baseline)
     results: Results = {
         "title": grid.title,
-        "status": "whole" if len(trained) == len(grid.runs) else "partial",
+        "status": "partial" if unevaluated or len(trained) < len(grid.runs) else "whole",
         "runs": {
             "planned": len(grid.runs),
             "finished": len(trained),
             "without_episodes": [
                 name for name in trained if name not in {one.run.name for one in described}
             ],
+            "not_evaluated": unevaluated,
             "failed": failures,
             "missing": [
                 run.name
@@ -55,8 +63,9 @@ def describe(folder: Folder, plan: Plan) -> tuple[Results, list[Cell]]:
         },
         "baseline": grid.baseline,
         "evaluation_episodes": grid.evaluate,
-        "environments": _environments(found, grid.baseline),
+        "environments": environments,
         "over_environments": over_environments(found, grid.baseline),
+        "together": together(environments, grid.baseline),
         "intervals": {
             "level": LEVEL,
             "resamples": RESAMPLES,
@@ -99,18 +108,18 @@ def over_environments(found: Sequence[Cell], baseline: str) -> dict[str, Any]:
     """
     envs = list(dict.fromkeys(cell.env for cell in found))
     by_key = {(cell.env, cell.arm): cell for cell in found if cell.finished}
-    together = {}
+    scores_of = {}
     for arm in dict.fromkeys(cell.arm for cell in found):
         cells_ = [by_key.get((env, arm)) for env in envs]
-        together[arm] = _of_common_seeds([cell for cell in cells_ if cell is not None])
+        scores_of[arm] = _of_common_seeds([cell for cell in cells_ if cell is not None])
         if None in cells_:
-            del together[arm]
-    bases = together.get(baseline)
+            del scores_of[arm]
+    bases = scores_of.get(baseline)
     if len(envs) < 2 or bases is None or len(bases[0]) < 2 or min(map(np.mean, bases)) <= 0:
         return {}
     return {
         arm: _in_units(scores, bases, arm, is_base=arm == baseline)
-        for arm, scores in together.items()
+        for arm, scores in scores_of.items()
         if len(scores[0]) > 1
     }
 
@@ -136,11 +145,12 @@ def _in_units(
         certain &= bool((unit > 0).all())
         values.append(drawn / unit[:, None])
     shares = [one / base.mean() for one, base in zip(scores, bases, strict=True)]
-    together = interquartile_mean(np.concatenate(values, axis=1))
+    drawn_together = interquartile_mean(np.concatenate(values, axis=1))
     return {
         "seeds": len(scores[0]),
+        "mean": float(np.mean([one.mean() for one in shares])),
         "iqm": float(interquartile_mean(np.concatenate(shares))),
-        "iqm_interval": interval(together) if certain else None,
+        "iqm_interval": interval(drawn_together) if certain and not is_base else None,
     }
 
 
@@ -149,10 +159,12 @@ def _unlike_the_paper(found: Sequence[Cell]) -> dict[str, Any]:
     cell = next((one for one in found if reported(one.env) is not None), None)
     if cell is None:
         return {}
-    recipe = PRESETS["paper"](cell.env).to_dict()
+    made = (one.facts["config"] for one in cell.finished if "config" in one.facts)
     settings = [
-        f"{name} {value} (paper {theirs})"
-        for group, name, theirs, value in cell.runs[0].config.unequal(recipe)
+        f"{name} {ours} (paper {theirs})"
+        for group, name, ours, theirs in PRESETS["paper"](cell.env).unequal(
+            next(made, cell.runs[0].config.to_dict())
+        )
         if group != "run" and name != "psi"
     ]
     return {"env": cell.env, "settings": settings}
@@ -181,6 +193,7 @@ def _versions(found: Sequence[Cell]) -> dict[str, Any]:
     for one in (one for cell in found for one in cell.finished):
         for name, number in one.facts.get("versions", {}).items():
             runs.setdefault(name, set()).add(number)
+        runs.setdefault("code", set()).add(one.facts.get("code", "not recorded"))
     ours = {name: _version(name) for name in _PACKAGES}
     return {
         "report": {"python": platform.python_version(), **ours},

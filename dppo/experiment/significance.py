@@ -71,11 +71,11 @@ def equal_spreads_of(std: float, other: float, seeds: int) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """Of two geometric means over seeds."""
+    """Of two geometric means over seeds, or over environments."""
 
     value: float
     interval: Interval | None
-    """Welch's, of the logarithms."""
+    """Welch's or Student's, of the logarithms."""
 
 
 def ratio(scores: Floats, others: Floats) -> Ratio | None:
@@ -86,6 +86,18 @@ def ratio(scores: Floats, others: Floats) -> Ratio | None:
     test = welch(*logs)
     ends = None if test is None else (math.exp(test.interval[0]), math.exp(test.interval[1]))
     return Ratio(math.exp(logs[0].mean() - logs[1].mean()), ends)
+
+
+def ratio_over(ratios: Floats) -> Ratio:
+    """Geometric mean of ratios above 0, with Student's interval of their logarithms."""
+    logs = np.log(ratios)
+    value, error = float(logs.mean()), float(spread(logs)) / math.sqrt(len(logs))
+    if len(logs) < 2 or error == 0 or not has_tests():
+        return Ratio(math.exp(value), None)
+    from scipy.stats import t
+
+    half = float(t.ppf((1 + LEVEL) / 2, len(logs) - 1)) * error
+    return Ratio(math.exp(value), (math.exp(value - half), math.exp(value + half)))
 
 
 def brown_forsythe(scores: Floats, others: Floats) -> float | None:

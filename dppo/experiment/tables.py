@@ -109,12 +109,45 @@ def on_the_way(results: Results) -> Table | None:
 
 
 def over_environments(results: Results) -> Table | None:
-    """Interquartile means over environments; None: there are none."""
-    lines = [
-        (arm, f"{one['seeds']}", f"{one['iqm']:.2f}{ends(one['iqm_interval'], 2)}")
-        for arm, one in results["over_environments"].items()
-    ]
-    head = ("arm", "seeds", "IQM over environments and seeds, the baseline's mean is 1; last 100")
+    """All environments at once, of each arm; None: there is nothing."""
+    lines = []
+    for arm in dict.fromkeys(key for _, key, _ in arms_of(results)):
+        scores, ratios = results["over_environments"].get(arm), results["together"].get(arm, {})
+        if scores is None and not ratios:
+            continue
+        texts = [NOTHING] * 3
+        if scores is not None:
+            mean, iqm = f"{scores['mean']:.2f}", f"{scores['iqm']:.2f}"
+            texts = [f"{scores['seeds']}", mean, iqm + ends(scores["iqm_interval"], 2)]
+        lines.append(
+            (
+                arm,
+                *texts,
+                *[_over(ratios.get(name)) for name in ("across", "within", "within_mean")],
+            )
+        )
+    head = (
+        "arm", "seeds", "mean of the last 100, in units of the baseline's", "IQM of that",
+        "spread across seeds / baseline's", "std within a policy / baseline's",
+        "mean of these policies / baseline's",
+    )  # fmt: skip
+    return Table(head, lines) if lines else None
+
+
+def _over(one: Any) -> str:  # noqa: ANN401  JSON
+    return NOTHING if one is None else f"{one['ratio']:.2f}{ends(one['interval'], 2)}"
+
+
+def every_seed(results: Results) -> Table | None:
+    """The number of each seed that the table of training returns is made of."""
+    seeds = sorted({seed for _, _, arm in arms_of(results) for seed in arm["seeds"]})
+    lines = []
+    for env, _, arm in arms_of(results):
+        if arm["training"]:
+            by_seed = dict(zip(arm["seeds"], arm["training"]["last100"]["by_seed"], strict=True))
+            scores = [f"{by_seed[seed]:.1f}" if seed in by_seed else NOTHING for seed in seeds]
+            lines.append((env, arm["label"], *scores))
+    head = ("environment", "arm", *[f"seed {seed}" for seed in seeds])
     return Table(head, lines) if lines else None
 
 

@@ -41,8 +41,20 @@ def of_spread(comparison: Summary) -> str:
         return "not judged: fewer than 4 seeds, nothing spreads, or no SciPy"
     if p >= SIGNIFICANT:
         return f"no difference that {seeds} seeds can show"
-    ours, theirs = found["stds"]
+    (ours, theirs), (near, far) = found["stds"], found["distances"]
+    if (ours < theirs) != (near < far):
+        return "not judged: standard deviations and distances to the medians disagree"
     return "lower" if ours < theirs else "higher"
+
+
+def of_ratio(found: Any) -> str:  # noqa: ANN401  JSON
+    """A ratio over environments; None: there is none."""
+    if found is None or found["interval"] is None:
+        return "not judged: no interval"
+    low, high = found["interval"]
+    if low > 1.0:
+        return "higher"
+    return "lower" if high < 1.0 else "no difference that these environments show together"
 
 
 def of_policies(comparison: Summary, start: str, kind: str) -> str:

@@ -1,13 +1,17 @@
 """What is kept of an experiment says all that the whole folder says."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from dppo.errors import UsageError
+from dppo.experiment.best import best_of
 from dppo.experiment.folder import Folder
 from dppo.experiment.keep import keep
-from tests.experiment_folders import report_of
+from dppo.experiment.measure import Cell, Finished
+from tests.experiment_folders import evaluated, leave, planned, report_of
 
 
 @pytest.fixture(scope="module")
@@ -75,3 +79,33 @@ def test_the_best_seeds_are_told_as_dppo_eval_tells_them(whole):
     row = "`runs/HalfCheetah-v4__psi-paper__s5` | 7035.0 | 7035 ± 17.3205 | 7035 ± 17.3205 |"
     assert row in page
     assert "`dppo eval RUN --which newest --episodes 4 --fixed-start`" in page
+
+
+def test_the_best_seed_is_that_of_the_last_hundred_episodes(tmp_path):
+    _, grid = planned(tmp_path)
+    returns = {1: [0.0] * 100 + [10.0] * 100, 2: [20.0] * 100 + [9.0] * 100}
+    finished = tuple(
+        Finished(
+            run=replace(grid.runs[0], seed=seed), returns=np.array(values),
+            curve=(np.zeros(0), np.zeros(0)), evaluation={}, result={}, facts={},
+        )
+        for seed, values in returns.items()
+    )  # fmt: skip
+    best = best_of(Cell(env="x", arm="y", runs=grid.runs[:1], finished=finished))
+    assert best is not None
+    assert best.run.seed == 1
+
+
+def test_a_run_that_is_still_to_be_evaluated_keeps_its_policy(tmp_path):
+    folder, grid = planned(tmp_path, seeds=2)
+    for run in grid.runs:
+        done = {} if (run.psi, run.seed) == (0, 1) else evaluated(10.0, 100.0 * run.seed)
+        leave(folder, run, 100.0 * run.seed, **done)
+        checkpoint = folder.run(run) / "checkpoints" / "iteration-00000002"
+        checkpoint.mkdir(parents=True)
+        (checkpoint / "manifest.json").write_text("{}")
+    plan = folder.read_plan()
+    assert plan is not None
+    keep(folder, plan, tmp_path / "kept")
+    kept = {path.parents[1].name for path in tmp_path.glob("kept/runs/*/checkpoints/*")}
+    assert kept == {run.name for run in grid.runs if run.seed == 2 or run.psi == 0}

@@ -3,6 +3,7 @@
 import json
 import re
 
+import numpy as np
 import pytest
 from scipy import stats
 
@@ -12,6 +13,7 @@ from tests.experiment_folders import (
     PLAIN,
     SAFE,
     SESSION,
+    evaluated,
     leave,
     planned,
     report_of,
@@ -27,6 +29,9 @@ def test_table_2_stands_beside_the_papers_with_a_judgement_from_intervals(whole)
     # deviations -2100 -1500 100 1000 2500: squares sum to 13,920,000; / 4, root
     assert last["std_across_seeds"] == pytest.approx(1865.476, abs=1e-3)
     assert last["iqm"] == pytest.approx((1600 + 3200 + 4100) / 3)
+    assert 1000 < last["iqm_interval"][0] < last["iqm"] < last["iqm_interval"][1] < 5600
+    each = np.concatenate([[score - 1, score + 1] * 100 for score in PLAIN])
+    assert last["std_of_all_episodes"] == pytest.approx(each.std(ddof=1))
     found = arms["psi-paper"]["against_baseline"]["last200"]
     assert found["difference"] == 3920
     assert found["welch_p"] == pytest.approx(stats.ttest_ind(SAFE, PLAIN, equal_var=False).pvalue)
@@ -39,6 +44,9 @@ def test_table_2_stands_beside_the_papers_with_a_judgement_from_intervals(whole)
     assert "The claim holds here: higher." in page
     assert "The claim holds here: lower." in page
     assert "shown in 1 of 1 environments (HalfCheetah-v4) | Not decided: 1 of the 4" in page
+    assert "of 2 comparisons of arms that are equal, up to 0.1 would look different" in page
+    assert "of 7 that say nothing true, up to 0.35 would be judged one way" in page
+    assert "| HalfCheetah-v4 | ψ 0 | 1000.0 | 1600.0 | 3200.0 | 4100.0 | 5600.0 |" in page
     assert "ψ 0.3" in page  # never only the best ψ, nor only the paper's
 
 
@@ -114,6 +122,43 @@ def test_environments_together_are_in_units_of_their_baselines(tmp_path):
     found = {arm: one["iqm"] for arm, one in results["over_environments"].items()}
     assert found == pytest.approx({"psi0": 1.0, "psi-paper": 2.0, "psi-twice": 0.5})
     assert "Over all environments" in page
+    assert "| psi0 | 4 | 1.00 | 1.00 | – | – | – |" in page  # its own unit: nothing to doubt
+    assert "| psi-paper | 4 | 2.00 | 2.00 [2.00, 2.00] |" in page
+
+
+def test_a_baseline_of_which_little_is_known_is_a_doubtful_unit(tmp_path):
+    folder, grid = planned(tmp_path, envs=("Hopper-v4", "Ant-v4"), seeds=4)
+    for run in grid.runs:
+        leave(folder, run, 100.0 * run.seed if run.psi == 0 else 1000.0)
+    results, _ = report_of(folder)
+    low, high = results["over_environments"]["psi-paper"]["iqm_interval"]
+    assert low < 3.5  # 1000 / 250, and that mean may be anything from 100 to 400
+    assert high > 4.5
+
+
+def test_trained_runs_that_are_to_be_evaluated_are_named(tmp_path):
+    folder, grid = planned(tmp_path, seeds=1)
+    for run in grid.runs:
+        leave(folder, run, 1000.0, **({} if run.psi == 0 else evaluated(10.0, 1000.0)))
+    results, page = report_of(folder)
+    assert results["status"] == "partial"
+    assert results["runs"]["not_evaluated"] == [grid.runs[0].name]
+    assert f"Trained, and not evaluated yet: {grid.runs[0].name}." in page
+
+
+def test_settings_are_those_the_runs_had_not_those_of_today(tmp_path):
+    """A default may have changed since."""
+    folder, grid = planned(tmp_path, seeds=1)
+    for run in grid.runs:
+        leave(folder, run, 1000.0)
+        file = folder.run(run) / "config.json"
+        facts = json.loads(file.read_text())
+        facts["config"]["returns"]["gamma"] = 0.995
+        file.write_text(json.dumps(facts | {"code": "3f2a"}))
+    _, page = report_of(folder)
+    assert "gae_lambda 0.95 (paper 0.98)" in page
+    assert "gamma 0." not in page
+    assert "code 3f2a" in page
 
 
 def test_no_interval_is_given_in_units_that_may_be_zero(tmp_path):
@@ -126,13 +171,13 @@ def test_no_interval_is_given_in_units_that_may_be_zero(tmp_path):
 
 
 def test_a_claim_about_all_environments_takes_all_of_them(tmp_path):
-    folder, grid = planned(tmp_path, envs=ENVIRONMENTS, seeds=3)
+    folder, grid = planned(tmp_path, envs=ENVIRONMENTS, seeds=3, evaluate=0)
     for run in grid.runs:
         leave(folder, run, 1000 * run.psi + 10.0 * run.seed)
     _, page = report_of(folder)
     assert "| mean higher in 4 of 4 (HalfCheetah-v4, Hopper-v4, Ant-v4, Walker2d-v4)" in page
     assert page.count("| Holds here. |") == 2
-    assert "The claim does not hold here: higher." in page  # the paper's Walker has a lower mean
+    assert "Better than the paper reports: higher." in page  # its Walker has a lower mean
 
 
 def test_returns_on_the_way_are_read_off_the_curves(tmp_path):

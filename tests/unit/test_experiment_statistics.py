@@ -14,6 +14,7 @@ from dppo.experiment.significance import (
     mann_whitney,
     power_of_brown_forsythe,
     ratio,
+    ratio_over,
     share_interval,
     spread_ratio_interval,
     welch,
@@ -196,6 +197,27 @@ def test_nested_resampling_shows_the_spread_between_seeds_as_well_as_within():
     assert widths[0] < 0.4  # about 4 x 1 / √500 = 0.18
     # the seeds' means 0, 10 .. 40 have a standard deviation of √200: ± 2 x √200 / √5 = ± 12.6
     assert widths[1] == pytest.approx(2 * 1.96 * np.sqrt(200 / 5), rel=0.15)
+
+
+def test_nested_resampling_of_one_seed_resamples_its_episodes():
+    means = resampled_nested(np.array([[0.0, 1.0] * 50]), mean, "one")
+    assert means.std() == pytest.approx(0.05, rel=0.1)  # √(.25 / 100)
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_the_doubt_about_an_improvement_is_of_both_arms(which):
+    arms = [np.array([5.0, 5.0]), np.array([5.0, 5.0])]
+    arms[which] = np.array([0.0, 10.0])
+    assert improvement_interval(arms[0], arms[1], "x") == (0.0, 1.0)
+
+
+def test_a_ratio_over_environments_has_students_interval_of_the_logarithms():
+    ratios = np.array([0.5, 0.8, 0.4, 1.1])
+    found, logs = ratio_over(ratios), np.log(ratios)
+    expected = stats.t.interval(0.95, 3, logs.mean(), stats.sem(logs))
+    assert found.value == pytest.approx(stats.gmean(ratios))
+    assert found.interval == pytest.approx(tuple(np.exp(expected)))
+    assert ratio_over(np.full(4, 0.5)) == Ratio(0.5, None)
 
 
 def test_an_interval_of_what_is_no_number_is_none():

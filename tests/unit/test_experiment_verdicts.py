@@ -71,8 +71,17 @@ def test_one_seed_decides_nothing_about_policies():
     ],
 )
 def test_a_spread_is_lower_or_higher_as_the_standard_deviations_are(stds, p, sentence):
-    found = {"seeds": [5, 5], "brown_forsythe_p": p, "stds": stds}
+    found = {"seeds": [5, 5], "brown_forsythe_p": p, "stds": stds, "distances": stds}
     assert of_spread({"last200": found}) == sentence
+
+
+def test_a_spread_is_not_judged_where_what_was_tested_lies_the_other_way():
+    """Brown and Forsythe compare distances to the medians: an outlier may turn the deviations."""
+    found = {"seeds": [9, 9], "brown_forsythe_p": 0.03, "stds": [4.0, 3.0]}
+    assert of_spread({"last200": found | {"distances": [2.0, 1.0]}}) == "higher"
+    assert of_spread({"last200": found | {"distances": [1.0, 2.0]}}) == (
+        "not judged: standard deviations and distances to the medians disagree"
+    )
 
 
 def test_the_spread_of_policies_without_any_is_judged_by_the_difference():
@@ -117,7 +126,7 @@ def test_every_claim_has_a_row_with_the_papers_own_significance(tmp_path):
         "Mean 2342.1 against 808.7: higher (Welch's test from these numbers: p = 0.0013)",
         "difference +0.0 [-230.6, 230.6]; the paper's +1533.4 lies outside",
         "lower (F test from these numbers: p = 0.42)",
-        "steps inducing consistent behaviour | returns of one policy's episodes spread by",
+        "behaviour (the paper says it of Walker2d) | returns of one policy's episodes spread by",
         "longer life-span | episodes of 10 steps against 10, difference +0; falls 0% against 60%",
         "learning is faster",
         "significant in none | spread across seeds lower in 0 of 1",
