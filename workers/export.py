@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from dppo.config import Config
@@ -55,8 +54,7 @@ class Exporter:
         policy, space = FrozenPolicy(checkpoint, spaces_of(env)), env.action_space
         adapter = Adapter(env.observation_space, space)
         env.close()
-        low, high = _bounds(space)
-        self._module = PolicyModule.load(checkpoint, low, high).eval()
+        self._module = PolicyModule.load(checkpoint, space)
         plans = plans_of(seed, _EPISODES, places=0)
         played = [kept.obs for _, kept in play(policy, plans, keep=True)]
         obs = np.concatenate(played)
@@ -72,7 +70,7 @@ class Exporter:
         def actor(file: Path) -> Actor:
             module: Any = torch.jit.load(str(file))
             return lambda inputs: np.asarray(
-                module(*map(torch.from_numpy, inputs.values())).detach().numpy()
+                module(*map(torch.from_numpy, inputs.values())).numpy()
             )
 
         def write(file: Path) -> None:
@@ -147,13 +145,3 @@ class Exporter:
         finally:
             part.unlink(missing_ok=True)
         return Verified(path, len(self._expected), difference)
-
-
-def _bounds(space: spaces.Space[Any]) -> tuple[NDArray[Any] | float, NDArray[Any] | float]:
-    """Of continuous actions; of discrete ones the lowest, and none."""
-    match space:
-        case spaces.Box():
-            return np.ravel(space.low), np.ravel(space.high)
-        case spaces.Discrete() | spaces.MultiDiscrete():
-            return np.ravel(space.start), np.inf
-    raise AssertionError(f"spaces_of lets no {space} through")

@@ -1,4 +1,4 @@
-"""A trained policy outside the trainer: NumPy, torch and the command line agree."""
+"""A trained policy outside the trainer: a plain loop and the command line agree."""
 
 import json
 from functools import partial
@@ -6,11 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from dppo.errors import RunFailedError
 from dppo.store.checkpoint import load_checkpoint
-from dppo.torch_policy import PolicyModule
 from tests.support import checkpoints
 from workers.envs import Adapter, make_env
 from workers.evaluate import evaluate, plans_of, policy_of
@@ -32,18 +30,6 @@ def test_equal_arguments_give_equal_returns_and_other_seeds_others(run_dir):
     assert evaluate(policy, episodes=3, deterministic=False, seed=1) == first
     assert evaluate(policy, episodes=3, deterministic=False, seed=2) != first
     assert evaluate(policy, episodes=3, deterministic=True, seed=1) != first
-
-
-def test_the_torch_module_acts_like_the_trainer_policy(run_dir):
-    checkpoint = newest(run_dir)
-    policy = policy_of(checkpoint)
-    module = PolicyModule.load(checkpoint, -0.2, 0.2)
-    obs = np.random.default_rng(0).normal(size=(16, 11))
-    expected = np.stack([policy.act(row, 0, None) for row in obs])
-    with torch.no_grad():
-        actions = module(torch.from_numpy(obs)).numpy()
-    np.testing.assert_allclose(actions, np.clip(expected, -0.2, 0.2), atol=2e-6)
-    assert np.abs(expected).max() > 0
 
 
 @pytest.mark.parametrize(
