@@ -132,17 +132,17 @@ def _table(calibration: "Calibration") -> list[str]:
     ]
     lines += [
         f"  {start.place:<5}  {start.predicted_std:<9.4g}  {start.empirical_std:<9.4g}  "
-        f"{_bounds(start.empirical_std_interval):21}  {start.ratio:<5.3f}  "
+        f"{_bounds(start.empirical_std_interval):21}  {_ratio(start.ratio):<5}  "
         f"{_bounds(start.ratio_interval)}"
         for start in calibration.starts
     ]
     lines.append(
-        f"  all starts: ratio {calibration.ratio:.3f} {_bounds(calibration.ratio_interval)}"
+        f"  all starts: ratio {_ratio(calibration.ratio)} {_bounds(calibration.ratio_interval)}"
     )
-    if calibration.along_ratio is None:
+    if not calibration.bins:
         return lines
     lines.append(
-        f"  along the trajectories, with V's error: ratio {calibration.along_ratio:.3f} "
+        f"  along the trajectories, with V's error: ratio {_ratio(calibration.along_ratio)} "
         f"{_bounds(calibration.along_ratio_interval)}"
     )
     lines.append("  tenths of the steps by sigma:  predicted  empirical")
@@ -152,5 +152,9 @@ def _table(calibration: "Calibration") -> list[str]:
     ]
 
 
+def _ratio(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
+
+
 def _bounds(interval: tuple[float, float] | None) -> str:
-    return "" if interval is None else f"[{interval[0]:.4g}, {interval[1]:.4g}]"
+    return "-" if interval is None else f"[{interval[0]:.4g}, {interval[1]:.4g}]"
