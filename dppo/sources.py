@@ -1,6 +1,7 @@
 """Which code a run was made with."""
 
 import hashlib
+from importlib import metadata
 from pathlib import Path
 
 _PACKAGES = ("dppo", "learner", "workers")
@@ -17,3 +18,11 @@ def code_hash(root: Path = _ROOT) -> str:
         found.update(f"{file.relative_to(root).as_posix()}\n".encode())
         found.update(hashlib.sha256(file.read_bytes()).digest())
     return found.hexdigest()[:12]
+
+
+def version() -> str:
+    """Of the installed package; empty where only the source lies."""
+    try:
+        return metadata.version("dppo")
+    except metadata.PackageNotFoundError:
+        return ""

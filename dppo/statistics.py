@@ -44,7 +44,7 @@ def intervals(
 
     The percentile method: figures of 2000 samples of N values, drawn with replacement, lie between
     these bounds in 95 of 100 cases. All figures are of the same samples. N is the first axis; a
-    measure gets [..., N], or [..., F, N].
+    measure gets [..., N], or [..., F, N]. A bound among samples whose figure is inf is not finite.
     """
     count = len(values)
     rows = max(1, _AT_ONCE // max(1, values.size))
@@ -54,7 +54,9 @@ def intervals(
         sample = np.moveaxis(values[drawn], 1, -1)
         for name, measure in measures.items():
             found[name].append(measure(sample))
-    bounds = {
-        name: np.quantile(np.concatenate(parts), (0.025, 0.975)) for name, parts in found.items()
-    }
+    with np.errstate(invalid="ignore"):  # between inf and inf
+        bounds = {
+            name: np.quantile(np.concatenate(parts), (0.025, 0.975))
+            for name, parts in found.items()
+        }
     return {name: (float(low), float(high)) for name, (low, high) in bounds.items()}

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from gymnasium import spaces
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -26,8 +27,9 @@ class PolicyModule(nn.Module):
     """Normaliser, policy network and what an environment takes, as one module.
 
     Example:
-        policy = PolicyModule.load(load_checkpoint(Path("runs/x/checkpoints/iteration-00000245")))
-        action = policy(torch.as_tensor(obs)[None])[0]
+        checkpoint = load_checkpoint(Path("runs/x/checkpoints/iteration-00000245"))
+        policy = PolicyModule.load(checkpoint, env.action_space)
+        action = policy(torch.as_tensor(obs)[None])[0].numpy()
     """
 
     mean: Tensor
@@ -47,27 +49,32 @@ class PolicyModule(nn.Module):
             modules += [linear, nn.Tanh()]
         self.network = nn.Sequential(*modules[:-1])
         mean, scale, self.clip = normalizer
+        self.obs_size = len(mean)
         self.has_clock = has_clock
         self.register_buffer("mean", torch.from_numpy(mean.copy()))
         self.register_buffer("scale", torch.from_numpy(scale.copy()))
 
     @classmethod
-    def load(
-        cls,
-        checkpoint: Checkpoint,
-        low: NDArray[Any] | float = -np.inf,
-        high: NDArray[np.float32] | float = np.inf,
-    ) -> "PolicyModule":
-        """The policy of a checkpoint.
+    def load(cls, checkpoint: Checkpoint, action_space: spaces.Space[Any]) -> "PolicyModule":
+        """The policy of a checkpoint, to act with: without gradients.
 
         Args:
             checkpoint: from `dppo.store.checkpoint.load_checkpoint`.
-            low, high: bounds of a continuous action space, [A] or one number. Of a discrete one
-                only `low` counts, if it is finite: its first choices' numbers.
+            action_space: of the environment that is to take the actions. Checkpoints hold sizes
+                alone; bounds, and numbers of first choices, are the space's.
+
+        Raises:
+            ValueError: the policy was trained for actions of another kind or size.
         """
         config = Config.from_dict(checkpoint.facts["config"])
-        spaces = spaces_in(checkpoint)
-        networks = Networks.build(spaces, config)
+        trained = spaces_in(checkpoint)
+        found = _kind_and_sizes(action_space)
+        if found != (trained.action_kind, trained.action_sizes):
+            raise ValueError(
+                f"action_space is {action_space}, expected one of the kind {trained.action_kind} "
+                f"with sizes {trained.action_sizes}, as the policy was trained for"
+            )
+        networks = Networks.build(trained, config)
         vector, log_std = networks.split_policy(checkpoint.arrays["parameters"])
         normalizer = statistics_in(checkpoint).obs_normalizer(config.rollout)
         common = (
@@ -75,21 +82,24 @@ class PolicyModule(nn.Module):
             (normalizer.mean, normalizer.scale, normalizer.clip),
             config.rollout.time_limit == "time-feature",
         )
-        shape = (spaces.action_size,)
-        if spaces.action_kind == "discrete":
-            first = np.where(np.isfinite(low), low, 0).astype(np.int64)
-            return CategoricalPolicy(*common, spaces.action_sizes, np.broadcast_to(first, shape))
-        bounds = (
-            np.broadcast_to(np.float32(low), shape),
-            np.broadcast_to(np.float32(high), shape),
-        )
-        return GaussianPolicy(*common, np.exp(log_std), bounds)
+        module: PolicyModule
+        if isinstance(action_space, spaces.Box):
+            low, high = (np.ravel(end) for end in (action_space.low, action_space.high))
+            bounds = low.astype(np.float32), high.astype(np.float32)
+            module = GaussianPolicy(*common, np.exp(log_std), bounds)
+        else:
+            first = np.ravel(getattr(action_space, "start", 0)).astype(np.int64)
+            module = CategoricalPolicy(*common, trained.action_sizes, first)
+        return module.requires_grad_(False).eval()
 
     def forward(self, obs: Tensor, steps: Tensor | None = None) -> Tensor:
         """Most likely actions [N, A], as the environment takes them, of raw observations [N, O].
 
         A discrete action is a whole number per component. `steps` [N] since the reset are for
         policies with a time feature.
+
+        Raises:
+            ValueError: observations of another shape, or no steps for a time feature.
         """
         return self._mode(self._output(obs, steps))
 
@@ -99,7 +109,11 @@ class PolicyModule(nn.Module):
         generator: torch.Generator | None = None,
         steps: Tensor | None = None,
     ) -> Tensor:
-        """Sampled actions [N, A]; continuous ones are clipped after sampling as in training."""
+        """Sampled actions [N, A]; continuous ones are clipped after sampling as in training.
+
+        Raises:
+            ValueError: as `forward`.
+        """
         return self._mode(self._noisy(self._output(obs, steps), generator))
 
     def _mode(self, output: Tensor) -> Tensor:
@@ -112,9 +126,17 @@ class PolicyModule(nn.Module):
 
     def _output(self, obs: Tensor, steps: Tensor | None) -> Tensor:
         """What the network makes of raw observations [N, O] after so many steps [N]."""
+        if obs.dim() != 2 or obs.shape[1] != self.obs_size:
+            raise ValueError(
+                f"observations have shape {list(obs.shape)}, expected [N, {self.obs_size}]"
+            )
         seen = ((obs.double() - self.mean) / self.scale).clamp(-self.clip, self.clip).float()
         if self.has_clock:
-            assert steps is not None, "this policy also takes the steps since the reset, [N]"
+            if steps is None:
+                raise ValueError(
+                    "steps is missing, expected the steps since the reset, [N]: this policy has a "
+                    "time feature"
+                )
             seen = torch.cat([seen, (0.001 * steps.double()).float()[:, None]], dim=1)
         output: Tensor = self.network(seen)
         return output
@@ -177,3 +199,15 @@ class CategoricalPolicy(PolicyModule):
     def _mode(self, output: Tensor) -> Tensor:
         parts = [part.argmax(dim=1) for part in torch.split(output, self.sizes, dim=1)]
         return torch.stack(parts, dim=1) + self.first
+
+
+def _kind_and_sizes(space: spaces.Space[Any]) -> tuple[str, tuple[int, ...]]:
+    """As in `dppo.spaces.Spaces`; of a space that no policy acts in, its own kind."""
+    match space:
+        case spaces.Box():
+            return "box", (int(np.prod(space.shape)),)
+        case spaces.Discrete():
+            return "discrete", (int(space.n),)
+        case spaces.MultiDiscrete():
+            return "discrete", tuple(int(n) for n in space.nvec.ravel())
+    return type(space).__name__, ()

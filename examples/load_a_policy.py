@@ -3,31 +3,27 @@
     dppo-learner --env InvertedPendulum-v5 --total-timesteps 50000 --run-dir runs/pendulum
     python examples/load_a_policy.py runs/pendulum
 
+A checkpoint's folder in the run will do, too.
 `dppo eval RUN` does the same for many episodes and prints mean, spread and tail.
 """
 
 import sys
-from pathlib import Path
 
 from dppo.config import Config
-from dppo.store.checkpoint import best_name, load_checkpoint, names
+from dppo.errors import UsageError
+from dppo.store.contents import chosen
 from workers.envs import Adapter, make_env, quiet, spaces_of
 from workers.policy import FrozenPolicy
 
 
-def main(run: Path) -> None:
+def main(run: str) -> None:
     quiet()
-    folder = run / "checkpoints"
-    found = names(folder)
-    if not found:
-        sys.exit(f"{run} holds no checkpoint; expected a run directory of dppo-learner")
-    name = best_name(folder) or found[-1]
-    checkpoint = load_checkpoint(folder / name)  # verifies its checksums
+    path, checkpoint = chosen(run, "best")  # verifies its checksums
 
     env = make_env(Config.from_dict(checkpoint.facts["config"]).run)
     policy = FrozenPolicy(checkpoint, spaces_of(env))
     adapter = Adapter(env.observation_space, env.action_space)
-    print(f"{name} of {run}: trained for {checkpoint.facts['env_steps']} steps")
+    print(f"{path.name} of {run}: trained for {checkpoint.facts['env_steps']} steps")
 
     observation, _ = env.reset(seed=0)
     score, steps, over = 0.0, 0, False
@@ -42,4 +38,7 @@ def main(run: Path) -> None:
 if __name__ == "__main__":
     if len(sys.argv) != 2:
         sys.exit("usage: python examples/load_a_policy.py RUN_DIRECTORY")
-    main(Path(sys.argv[1]))
+    try:
+        main(sys.argv[1])
+    except UsageError as error:  # one sentence: what is wrong, what was expected, what to do
+        sys.exit(f"error: {error}")

@@ -16,7 +16,12 @@ SECONDS_PER_STEP = float(os.environ.get("ODD_SECONDS_PER_STEP", "0"))
 
 
 class Walk(gymnasium.Env[Any, Any]):
-    """Two numbers to see, two actions, episodes of 16 steps; goes wrong in the 11th, if at all."""
+    """Two numbers to see, two actions, episodes of 16 steps; goes wrong in the 11th, if at all.
+
+    Pictures are brighter with each step.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 30}  # noqa: RUF012  Gymnasium's
 
     def __init__(
         self,
@@ -26,15 +31,19 @@ class Walk(gymnasium.Env[Any, Any]):
         once: str = "",
         after: int = 0,
         while_there: str = "",
+        endless: bool = False,
+        render_mode: str | None = None,
     ) -> None:
         """With `once`, a file, trouble comes a single time, and not before `after` steps.
 
-        It raises in every step while there is a file `while_there`.
+        It raises in every step while there is a file `while_there`. Endless: no episode ends.
         """
         self.action_space = actions or spaces.Discrete(2)
         self.observation_space = observations or spaces.Box(-1, 1, (2,))
+        self.render_mode = render_mode
         self._trouble, self._steps = trouble, 0
         self._once, self._left = once, after
+        self._last = 0 if endless else 16
         self._while_there = Path(while_there) if while_there else None
 
     def reset(self, *, seed: int | None = None, **_: Any) -> Any:
@@ -58,7 +67,10 @@ class Walk(gymnasium.Env[Any, Any]):
                 obs = np.array([np.nan, 0], np.float32)
             if self._trouble == "dice":
                 obs[1] = np.random.default_rng().random()
-        return obs, 1.0, self._steps == 16, False, {}
+        return obs, 1.0, self._steps == self._last, False, {}
+
+    def render(self) -> Any:
+        return np.full((32, 32, 3), min(255, 15 * self._steps), np.uint8)
 
     def _is_first(self) -> bool:
         """Of all environments of all processes, exactly one goes wrong."""
@@ -92,6 +104,7 @@ TROUBLES: dict[str, dict[str, Any]] = {
     "NotANumber-v0": {"trouble": "nan"},
     "Dice-v0": {"trouble": "dice"},
     "Walk-v0": {},
+    "Endless-v0": {"endless": True},
     "Choices-v0": {"actions": spaces.MultiDiscrete([3, 2], start=[1, -1])},
     "OddActions-v0": {"actions": spaces.MultiBinary(3)},
     "OddObservations-v0": {"observations": spaces.Text(3)},

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from dppo.errors import UsageError
 from dppo.rollout import Rollout, estimates
 from dppo.statistics import Measure, intervals
+from dppo.statistics import spread as deviation
 from dppo.streams import stream
 from workers.play import Episode, Trajectory
 from workers.policy import FrozenPolicy
@@ -34,8 +35,6 @@ _BOOTSTRAP = 2
 _UNSEEN = 0.01
 """Largest share γ̄^l of σ that may lie beyond a time limit l steps ahead."""
 _BINS = 10
-_NOTHING = 1e-300
-"""Instead of a variance of 0, to divide by [reward²]."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,9 +48,10 @@ class FromStart:
     empirical_std: float
     """Of G_0 over the episodes [reward]."""
     empirical_std_interval: Interval
-    ratio: float
-    """Predicted over empirical."""
-    ratio_interval: Interval
+    ratio: float | None
+    """Predicted over empirical; None: nothing spreads."""
+    ratio_interval: Interval | None
+    """None: too many of the resamples do not spread."""
     squares_std: float
     """Square root of the mean of Σ γ̄^l δ², which σ(s_0) is regressed on [reward]."""
     v_error: float
@@ -76,9 +76,9 @@ class Calibration:
     gamma: float
     lambda_ret: float
     starts: tuple[FromStart, ...]
-    ratio: float
+    ratio: float | None
     """Over all start states: √(mean of σ(s_0) / mean of the empirical variances)."""
-    ratio_interval: Interval
+    ratio_interval: Interval | None
     along_ratio: float | None
     """Along the trajectories: √(mean of σ(s_t) / mean of (G_t − V(s_t))²); None: nothing shows."""
     along_ratio_interval: Interval | None
@@ -188,13 +188,15 @@ class Calibrator:
             gamma=self._config.returns.gamma,
             lambda_ret=self._config.returns.return_trace,
             starts=tuple(starts),
-            ratio=float(ratio(errors)),
-            ratio_interval=intervals(errors.T, {"": ratio}, rng)[""],
-            along_ratio=_or_none(along),
+            ratio=_finite(float(ratio(errors))),
+            ratio_interval=_finite_bounds(intervals(errors.T, {"": ratio}, rng)[""]),
+            along_ratio=_whole_ratio(along),
             along_ratio_interval=(
-                intervals(along, {"": _ratio_along}, rng)[""] if len(along) else None
+                _finite_bounds(intervals(along, {"": _ratio_along}, rng)[""])
+                if len(along)
+                else None
             ),
-            along_squares_ratio=_or_none(_along(everything, squares=True)),
+            along_squares_ratio=_whole_ratio(_along(everything, squares=True)),
             bins=_bins(everything),
         )
 
@@ -206,18 +208,12 @@ def _steps_beyond(discount: float) -> int:
     return int(np.ceil(np.log(_UNSEEN) / np.log(discount)))
 
 
-def _std(sample: Float64) -> Float64:
-    """[..., places] standard deviations of [..., places, N], without bias in their squares."""
-    deviations: Float64 = np.std(sample, axis=-1, ddof=1)
-    return deviations
-
-
 def _from_start(place: int, found: Sequence[_Spread], rng: np.random.Generator) -> FromStart:
     """One start state."""
     sigma = max(0.0, float(found[0].sigma[0]))
     errors = np.array([[spread.error[0]] for spread in found])  # [N, 1]
     measures: dict[str, Measure] = {
-        "std": lambda sample: _std(sample)[..., 0],
+        "std": lambda sample: deviation(sample)[..., 0],
         "ratio": _ratio_to(sigma),
     }
     bounds = intervals(errors, measures, rng)
@@ -227,8 +223,8 @@ def _from_start(place: int, found: Sequence[_Spread], rng: np.random.Generator) 
         predicted_std=float(np.sqrt(sigma)),
         empirical_std=float(measures["std"](errors.T)),
         empirical_std_interval=bounds["std"],
-        ratio=float(measures["ratio"](errors.T)),
-        ratio_interval=bounds["ratio"],
+        ratio=_finite(float(measures["ratio"](errors.T))),
+        ratio_interval=_finite_bounds(bounds["ratio"]),
         squares_std=float(np.sqrt(np.mean([spread.squares[0] for spread in found]))),
         v_error=float(errors.mean()),
         discounted_std=float(np.std([spread.discounted for spread in found], ddof=1)),
@@ -236,10 +232,22 @@ def _from_start(place: int, found: Sequence[_Spread], rng: np.random.Generator) 
 
 
 def _ratio_to(sigma: float) -> Measure:
-    """√(σ / mean over places of the variance) of [..., places, N]."""
-    return lambda sample: np.sqrt(
-        sigma / np.maximum(np.square(_std(sample)).mean(axis=-1), _NOTHING)
-    )
+    """√(σ / mean over places of the variance) of [..., places, N]; inf where nothing spreads."""
+    return lambda sample: _root_ratio(sigma, np.square(deviation(sample)).mean(axis=-1))
+
+
+def _root_ratio(sigma: Float64 | float, variance: Float64) -> Float64:
+    """√(σ / variance), inf where there is no variance."""
+    some = variance > 0
+    return np.asarray(np.sqrt(np.where(some, sigma / np.where(some, variance, 1), np.inf)))
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _finite_bounds(bounds: Interval) -> Interval | None:
+    return bounds if np.isfinite(bounds).all() else None
 
 
 def _along(found: Sequence[_Spread], *, squares: bool = False) -> Float64:
@@ -256,14 +264,14 @@ def _along(found: Sequence[_Spread], *, squares: bool = False) -> Float64:
     ).reshape(-1, 2)
 
 
-def _or_none(along: Float64) -> float | None:
-    return float(_ratio_along(along.T)) if len(along) else None
+def _whole_ratio(along: Float64) -> float | None:
+    return _finite(float(_ratio_along(along.T))) if len(along) else None
 
 
 def _ratio_along(sample: Float64) -> Float64:
-    """√(σ / squares) of sums [..., 2, N]."""
+    """√(σ / squares) of sums [..., 2, N]; inf where there are none."""
     sigma, squares = sample[..., 0, :].sum(axis=-1), sample[..., 1, :].sum(axis=-1)
-    return np.asarray(np.sqrt(np.maximum(sigma, 0) / np.maximum(squares, _NOTHING)))
+    return _root_ratio(np.maximum(sigma, 0), squares)
 
 
 def _bins(found: Sequence[_Spread]) -> tuple[Bin, ...]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -123,6 +124,7 @@ def evaluate(
     seed: int,
     places: int = 0,
     rows: int = ROWS,
+    max_steps: int = 0,
     watch: Callable[[Episode, Trajectory], None] | None = None,
 ) -> Evaluation:
     """Run the policy for some episodes. Equal arguments give equal returns, for any `rows`.
@@ -134,16 +136,15 @@ def evaluate(
         seed: of start states, actions and the environments' own noise.
         places: fixed start states; 0: only free ones.
         rows: most environments side by side.
+        max_steps: cut episodes after so many steps; 0: as the environment says.
         watch: called with each episode from a fixed start, as they end.
     """
     plans = plans_of(seed, episodes, places)
     free, fixed = plans[:episodes], plans[episodes:]
-    found = [episode for episode, _ in play(policy, free, deterministic=deterministic, rows=rows)]
+    part = partial(play, policy, deterministic=deterministic, rows=rows, max_steps=max_steps)
+    found = [episode for episode, _ in part(free)]
     if fixed:
-        keep = watch is not None
-        for episode, trajectory in play(
-            policy, fixed, deterministic=deterministic, keep=keep, rows=rows
-        ):
+        for episode, trajectory in part(fixed, keep=watch is not None):
             found.append(episode)
             if watch is not None:
                 watch(episode, trajectory)

@@ -3,7 +3,7 @@
 Raw observations [N, O] in, the most likely actions [N, A] out, as the environment takes them. A
 policy with a time feature also takes the steps since the reset, [N].
 Each file is loaded again and compared with the trainer's own policy, in NumPy, on observations of
-real episodes, before it gets its name.
+real episodes, before it gets its name. An ONNX file also says whose policy it is.
 """
 
 import logging
@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from dppo.config import Config
 from dppo.errors import RunFailedError, UsageError
-from dppo.store.checkpoint import Checkpoint
+from dppo.sources import version
+from dppo.store.checkpoint import Checkpoint, sha256
 from workers.envs import Adapter, make_env, spaces_of
 from workers.evaluate import plans_of
 from workers.play import play
@@ -31,7 +31,8 @@ Inputs = dict[str, NDArray[Any]]
 Actor = Callable[[Inputs], NDArray[Any]]
 TOLERANCE = 1e-4
 """Largest difference of an action; float32 in another order of sums stays far below."""
-_EPISODES = 2
+_EPISODES, _STEPS = 2, 2000
+"""Played for observations to verify with, and the most steps of each: some need not end."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,20 +49,24 @@ class Exporter:
     """A checkpoint's policy, and observations to verify its files with."""
 
     def __init__(self, checkpoint: Checkpoint, seed: int = 0) -> None:
-        """Plays two episodes."""
+        """Plays two episodes, of 2,000 steps at most."""
         from dppo.torch_policy import PolicyModule
 
         env = make_env(Config.from_dict(checkpoint.facts["config"]).run)
         policy, space = FrozenPolicy(checkpoint, spaces_of(env)), env.action_space
         adapter = Adapter(env.observation_space, space)
         env.close()
-        low, high = _bounds(space)
-        self._module = PolicyModule.load(checkpoint, low, high).eval()
+        self._module = PolicyModule.load(checkpoint, space)
         plans = plans_of(seed, _EPISODES, places=0)
-        played = [kept.obs for _, kept in play(policy, plans, keep=True)]
+        played = [kept.obs for _, kept in play(policy, plans, keep=True, max_steps=_STEPS)]
         obs = np.concatenate(played)
         steps = np.concatenate([np.arange(len(one)) for one in played])
         self._inputs: Inputs = {"obs": obs} | ({"steps": steps} if self._module.has_clock else {})
+        self._facts = {
+            "env": policy.config.run.env,
+            "dppo_version": version(),
+            "parameters_sha256": sha256(policy.parameters),
+        }
         modes = policy.actions(obs, steps, None)
         self._expected = adapter.to_envs(modes).reshape(len(modes), -1)
 
@@ -72,7 +77,7 @@ class Exporter:
         def actor(file: Path) -> Actor:
             module: Any = torch.jit.load(str(file))
             return lambda inputs: np.asarray(
-                module(*map(torch.from_numpy, inputs.values())).detach().numpy()
+                module(*map(torch.from_numpy, inputs.values())).numpy()
             )
 
         def write(file: Path) -> None:
@@ -83,14 +88,16 @@ class Exporter:
     def onnx(self, path: Path) -> Verified:
         """Write an ONNX file: inputs as `Inputs`, output `action` [batch, A].
 
+        Its metadata say whose policy it is: `env`, `dppo_version`, `parameters_sha256`.
+
         Raises:
-            UsageError: the packages for it are not installed.
+            UsageError: the packages for it are not installed, or of versions that do not fit.
         """
         import torch
 
         try:
             import onnxruntime
-            import onnxscript  # noqa: F401  torch needs it, and would say so in many lines
+            import onnxscript  # torch needs it, and would say so in many lines
         except ImportError as error:
             raise UsageError(
                 f"--onnx needs the package {error.name}, which is not installed; "
@@ -104,17 +111,25 @@ class Exporter:
         def write(file: Path) -> None:
             logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # what it does without
             batch = torch.export.Dim("batch")
-            torch.onnx.export(
-                self._module,
-                tuple(torch.from_numpy(values[:2]) for values in self._inputs.values()),
-                str(file),
-                input_names=list(self._inputs),
-                output_names=["action"],
-                dynamic_shapes={name: {0: batch} for name in self._inputs},
-                external_data=False,
-                dynamo=True,
-                verbose=False,
-            )
+            try:
+                program: Any = torch.onnx.export(
+                    self._module,
+                    tuple(torch.from_numpy(values[:2]) for values in self._inputs.values()),
+                    input_names=list(self._inputs),
+                    output_names=["action"],
+                    dynamic_shapes={name: {0: batch} for name in self._inputs},
+                    dynamo=True,
+                    verbose=False,
+                )
+            except Exception as error:  # of two packages that each change what the other uses
+                reason = str(error).partition("\n")[0]
+                raise UsageError(
+                    f"torch {torch.__version__} and onnxscript {onnxscript.__version__} make no "
+                    f"ONNX file together ({type(error).__name__}: {reason}); pip install "
+                    "--upgrade onnxscript, or export with --torchscript"
+                ) from error
+            program.model.metadata_props.update(self._facts)
+            program.save(str(file), external_data=False)
 
         return self._verified(path, write, actor)
 
@@ -147,13 +162,3 @@ class Exporter:
         finally:
             part.unlink(missing_ok=True)
         return Verified(path, len(self._expected), difference)
-
-
-def _bounds(space: spaces.Space[Any]) -> tuple[NDArray[Any] | float, NDArray[Any] | float]:
-    """Of continuous actions; of discrete ones the lowest, and none."""
-    match space:
-        case spaces.Box():
-            return np.ravel(space.low), np.ravel(space.high)
-        case spaces.Discrete() | spaces.MultiDiscrete():
-            return np.ravel(space.start), np.inf
-    raise AssertionError(f"spaces_of lets no {space} through")

@@ -100,6 +100,7 @@ def play(
     deterministic: bool = False,
     keep: bool = False,
     rows: int = ROWS,
+    max_steps: int = 0,
 ) -> Iterator[tuple[Episode, Trajectory]]:
     """The episodes of some plans, as they end.
 
@@ -109,12 +110,14 @@ def play(
         deterministic: take the most likely actions.
         keep: fill the trajectories.
         rows: most environments side by side.
+        max_steps: cut episodes after so many steps, as a time limit does; 0: the environment's
+            own limit alone.
 
     Raises:
         RunFailedError: an environment raised, or returned what is not finite.
     """
     waves = -(-len(plans) // rows)
-    stage = _Stage(policy, plans, -(-len(plans) // waves), deterministic, keep)
+    stage = _Stage(policy, plans, -(-len(plans) // waves), deterministic, keep, max_steps)
     try:
         yield from stage.play()
     except RowFailedError as error:
@@ -133,8 +136,10 @@ class _Stage:
         rows: int,
         deterministic: bool,
         keep: bool,
+        max_steps: int,
     ) -> None:
         self._policy, self._plans, self._keep = policy, plans, keep
+        self._max_steps = max_steps
         self.vec = training_vec(policy.config.run, rows, remember=False)
         self._adapter = Adapter(self.vec.single_observation_space, self.vec.single_action_space)
         self._deterministic = deterministic
@@ -201,14 +206,16 @@ class _Stage:
         if self._keep:
             for row, rewards in enumerate(self._rewards):
                 rewards.append(float(reward[row]))
+        if self._max_steps:
+            truncated = truncated | (self._steps >= self._max_steps)
         return terminated, terminated | truncated
 
     def _remark(self) -> None:
         if self._steps.max() == _LONG_STEPS:
             log.warning(
                 "an episode of %s has lasted %d steps; an environment without a time limit goes "
-                "on until the policy ends it. Ctrl-C stops this; a run made with --env-kwargs "
-                "'{\"max_episode_steps\": 1000}' has a limit", self._name(), _LONG_STEPS,
+                "on until the policy ends it. Ctrl-C stops this; --max-steps 1000 cuts episodes "
+                "after so many steps", self._name(), _LONG_STEPS,
             )  # fmt: skip
 
     def _draw(self) -> NDArray[np.float32] | None:

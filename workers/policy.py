@@ -34,6 +34,7 @@ class FrozenPolicy:
                 f"the checkpoint's policy was trained on {trained}, the environment has {spaces}; "
                 "give the environment that it was trained on"
             )
+        self._obs_size = trained.obs_size
         self.distribution: Distribution = distribution_of(spaces)
         self.statistics = statistics_in(checkpoint)
         self.mean_reward = mean_reward(checkpoint.arrays["episodes"])
@@ -44,7 +45,16 @@ class FrozenPolicy:
         self._policy, self._log_std = self.networks.split_policy(self.parameters)
 
     def seen(self, obs: Float64, steps: NDArray[np.integer]) -> Float32:
-        """[n, O] what the networks see of raw observations, `steps` [n] after the start."""
+        """[n, O] what the networks see of raw observations, `steps` [n] after the start.
+
+        Raises:
+            ValueError: observations of another size; a single number would fit by broadcasting.
+        """
+        if obs.shape[1:] != (self._obs_size,):
+            raise ValueError(
+                f"an observation has shape {obs.shape[1:]}, expected ({self._obs_size},), the "
+                "flattened size of the environment that the policy was trained on"
+            )
         seen = self._normalizer(obs)
         if self.config.rollout.time_limit == "time-feature":
             feature = (0.001 * steps[:, None]).astype(np.float32)
@@ -60,6 +70,9 @@ class FrozenPolicy:
             obs: [n, O] flattened, not normalised.
             steps: [n] steps of the episodes so far, for policies with a time feature.
             noise: [n, K] draws of `distribution.noise`; None: the most likely actions.
+
+        Raises:
+            ValueError: observations of another size.
         """
         output, _ = self.networks.policy.forward(self._policy, self.seen(obs, steps)[:, None])
         if noise is None:
@@ -67,7 +80,11 @@ class FrozenPolicy:
         return self.distribution.sample(output[:, 0], self._log_std, noise)
 
     def act(self, obs: Float64, step: int, rng: np.random.Generator | None) -> Float32:
-        """[A] action for one raw observation [O]; a sample if there is a generator."""
+        """[A] action for one raw observation [O]; a sample if there is a generator.
+
+        Raises:
+            ValueError: an observation of another size.
+        """
         noise = None if rng is None else self.distribution.noise(rng, (1,))
         (action,) = self.actions(obs[None], np.array([step]), noise)
         return np.asarray(action)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 
 import gymnasium
 import numpy as np
@@ -172,6 +173,26 @@ def test_steps_near_a_time_limit_are_left_out_along_the_trajectories():
     assert found.ratio > 0
 
 
+@pytest.mark.parametrize("episodes", [2, 3])
+def test_of_very_few_episodes_most_resamples_do_not_spread_and_bounds_are_left_out(episodes):
+    """Of two, half of the resamples are twice the same one; of three, one in nine thrice."""
+    _, found = calibrated(checkpoint(), episodes=episodes)
+    assert found.ratio > 0
+    assert [found.ratio_interval] + [one.ratio_interval for one in found.starts] == [None] * 3
+    assert all(np.isfinite(one.empirical_std_interval).all() for one in found.starts)
+    assert np.isfinite(found.along_ratio_interval).all()
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
+def test_where_nothing_spreads_there_is_no_ratio(monkeypatch):
+    monkeypatch.setattr(f"{__name__}.COIN", np.zeros(STEPS))
+    _, found = calibrated(checkpoint(), episodes=4)
+    assert [found.ratio] + [one.ratio for one in found.starts] == [None] * 3
+    assert found.ratio_interval is None
+    assert [one.empirical_std for one in found.starts] == [0, 0]
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
 def test_runs_without_a_sigma_that_is_a_variance_are_refused():
     made = checkpoint()
     made.facts["config"]["returns"]["gamma_bar"] = "authors-2019"
@@ -198,6 +219,10 @@ def test_dppo_eval_calibration_prints_the_same_twice(harness):
     assert [start["episodes"] for start in found["calibration"]["starts"]] == [6, 6]
     low, high = found["calibration"]["ratio_interval"]
     assert 0 < low < found["calibration"]["ratio"] < high
+    few = harness.start("dppo", "eval", str(run_dir), "--calibration", "--episodes", "2")
+    assert few.wait() == 0, few.text
+    (line,) = (line for line in few.text.splitlines() if line.startswith("  all starts: ratio "))
+    assert re.fullmatch(r"  all starts: ratio \d+\.\d{3} -", line)
     refused = harness.start(*words, "--deterministic")
     assert refused.wait() == 2
     assert "off with --calibration: sigma is of the policy that samples" in " ".join(

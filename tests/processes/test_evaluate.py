@@ -1,4 +1,4 @@
-"""A trained policy outside the trainer: NumPy, torch and the command line agree."""
+"""A trained policy outside the trainer: a plain loop and the command line agree."""
 
 import json
 from functools import partial
@@ -6,11 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from dppo.errors import RunFailedError
 from dppo.store.checkpoint import load_checkpoint
-from dppo.torch_policy import PolicyModule
 from tests.support import checkpoints
 from workers.envs import Adapter, make_env
 from workers.evaluate import evaluate, plans_of, policy_of
@@ -32,18 +30,6 @@ def test_equal_arguments_give_equal_returns_and_other_seeds_others(run_dir):
     assert evaluate(policy, episodes=3, deterministic=False, seed=1) == first
     assert evaluate(policy, episodes=3, deterministic=False, seed=2) != first
     assert evaluate(policy, episodes=3, deterministic=True, seed=1) != first
-
-
-def test_the_torch_module_acts_like_the_trainer_policy(run_dir):
-    checkpoint = newest(run_dir)
-    policy = policy_of(checkpoint)
-    module = PolicyModule.load(checkpoint, -0.2, 0.2)
-    obs = np.random.default_rng(0).normal(size=(16, 11))
-    expected = np.stack([policy.act(row, 0, None) for row in obs])
-    with torch.no_grad():
-        actions = module(torch.from_numpy(obs)).numpy()
-    np.testing.assert_allclose(actions, np.clip(expected, -0.2, 0.2), atol=2e-6)
-    assert np.abs(expected).max() > 0
 
 
 @pytest.mark.parametrize(
@@ -124,6 +110,53 @@ def test_an_episode_that_may_never_end_is_remarked_upon_once(runs, monkeypatch, 
     evaluate(policy, episodes=4, deterministic=False, seed=0, rows=4)
     (said,) = caplog.messages
     assert said.startswith("an episode of Walk-v0 has lasted 16 steps;")
+    assert "--max-steps 1000 cuts episodes" in said
+
+
+@pytest.mark.parametrize("env_id", ["Hopper-v5", "tests.odd_envs:Walk-v0"])
+def test_episodes_that_are_cut_are_beginnings_of_whole_ones(runs, env_id):
+    policy = policy_of(newest(runs(env_id)))
+    plans = plans_of(seed=1, episodes=5, places=1)
+    whole, cut, same = (
+        {episode.plan: (episode, kept) for episode, kept in played}
+        for played in (
+            play(policy, plans, keep=True, max_steps=limit, rows=3) for limit in (0, 6, 10**6)
+        )
+    )
+    for plan in plans:
+        (episode, kept), (short, begun) = whole[plan], cut[plan]
+        assert episode.terminated
+        assert (short.length, short.terminated) == (6, False)
+        assert np.array_equal(begun.obs, kept.obs[:7])
+        assert begun.reward.tolist() == kept.reward[:6].tolist()
+        assert same[plan][0] == episode
+
+
+def test_an_episode_that_ends_in_the_step_it_would_be_cut_in_has_ended(runs):
+    policy = policy_of(newest(runs("tests.odd_envs:Walk-v0")))
+    found = evaluate(policy, episodes=2, deterministic=True, seed=0, max_steps=16)
+    assert [(one.length, one.terminated) for one in found.episodes] == [(16, True)] * 2
+
+
+def test_dppo_eval_cuts_episodes_that_never_end(harness, runs):
+    words = ("dppo", "eval", str(runs("tests.odd_envs:Endless-v0")), "--max-steps", "30")
+    process = harness.start(*words, "--episodes", "3", "--json")
+    assert process.wait() == 0, process.text
+    printed = json.loads(process.text)
+    assert printed["max_steps"] == 30
+    assert [one["length"] for one in printed["episodes"]] == [30] * 3
+    assert printed["summary"]["free"]["falls"] == 0
+    people = harness.start(*words, "--episodes", "1")
+    assert people.wait() == 0
+    assert "gamma 0.99, episodes cut after 30 steps\n" in people.text
+
+
+def test_a_sigma_up_to_the_time_limit_is_not_compared_with_returns_that_are_cut(harness, runs):
+    run = runs("InvertedPendulum-v5", "--time-limit", "time-feature")
+    words = ("dppo", "eval", str(run), "--calibration", "--max-steps", "5")
+    process = harness.start(*words)
+    assert process.wait() == 2, process.text
+    assert "--max-steps is 5 with --calibration, and the run has --time-limit" in process.text
 
 
 def test_dppo_eval_prints_mean_spread_tail_falls_and_intervals(harness, run_dir):
@@ -183,6 +216,7 @@ def test_dppo_checkpoint_shows_hashes_and_contents(harness, run_dir):
         (["eval", "/nowhere"], "/nowhere holds no checkpoint"),
         (["eval", "{run}", "--which", "latest"], "--which is latest, expected best, newest"),
         (["eval", "{run}", "--episodes", "0"], "--episodes is 0, expected >= 1"),
+        (["eval", "{run}", "--max-steps", "-1"], "--max-steps is -1, expected >= 0"),
         (["eval", "{run}", "--rows", "0"], "--rows is 0, expected >= 1"),
         (["train"], "found train, expected eval, export, video, watch, checkpoint, replay"),
         ([], "found nothing, expected eval, export, video, watch, checkpoint, replay"),

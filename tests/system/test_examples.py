@@ -1,6 +1,9 @@
 """The examples, each as a person runs it: a process, and what it prints."""
 
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -56,5 +59,19 @@ def test_a_policy_is_loaded_from_the_run_directory_that_training_left(tmp_path: 
     assert re.search(r"^iteration-\d{8} of .*: trained for (1024|2048) steps$", text, re.MULTILINE)
     played = re.search(r"one episode: (\d+) steps, return ([\d.]+)", text)
     assert played is not None
+    (newest, *_) = sorted((folder / "checkpoints").glob("iteration-*"), reverse=True)
+    assert f"{newest.name} of {newest}: " in printed(EXAMPLES / "load_a_policy.py", newest)
+    (newest / "manifest.json").write_text("{}")
+    refused = subprocess.run(
+        [sys.executable, EXAMPLES / "load_a_policy.py", newest],
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert refused.returncode == 1
+    assert refused.stderr.startswith("error: ")
+    assert len(refused.stderr.splitlines()) == 1
     fallen = int(played[1]) - float(played[2])  # 1 a step, 0 for the one it falls in
     assert fallen in {0.0, 1.0}

@@ -8,7 +8,8 @@ from dppo.arguments import RunFolder
 from dppo.settings import require
 
 if TYPE_CHECKING:
-    from workers.calibration import Calibration
+    from workers.calibration import Calibration, Calibrator
+    from workers.policy import FrozenPolicy
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +34,8 @@ class EvalArgs:
     """Of start states, actions, the environment's own noise and the intervals."""
     rows: int = 16
     """Environments side by side; only the speed depends on it [count]."""
+    max_steps: int = 0
+    """Cut each episode after so many steps, as a time limit does; 0: as the environment says."""
     json: bool = False
     """Print JSON with every episode."""
 
@@ -52,20 +55,20 @@ class EvalArgs:
             self.episodes,
             ">= 2 with --calibration",
         )
+        require(self.max_steps >= 0, "max_steps", self.max_steps, ">= 0")
         require(0 <= self.seed < 2**63, "seed", self.seed, "0 <= seed < 2**63")
 
 
 def run(args: EvalArgs) -> int:
     """Play, and print."""
     from dppo.store.contents import chosen
-    from workers.calibration import Calibrator
     from workers.envs import quiet
     from workers.evaluate import evaluate, policy_of
 
     quiet()
     path, checkpoint = chosen(args.run, args.which)
     policy = policy_of(checkpoint)
-    calibrator = Calibrator(policy) if args.calibration else None
+    calibrator = _calibrator(policy, args.max_steps) if args.calibration else None
     result = evaluate(
         policy,
         episodes=args.episodes,
@@ -73,6 +76,7 @@ def run(args: EvalArgs) -> int:
         seed=args.seed,
         places=args.starts if args.fixed_start or args.calibration else 0,
         rows=args.rows,
+        max_steps=args.max_steps,
         watch=None if calibrator is None else calibrator.note,
     )
     calibration = None if calibrator is None else calibrator.result(args.seed)
@@ -84,18 +88,39 @@ def run(args: EvalArgs) -> int:
         "gamma": checkpoint.facts["config"]["returns"]["gamma"],
         "seed": args.seed,
     }
+    if args.max_steps:
+        facts["max_steps"] = args.max_steps
     if args.json:
         if calibration is not None:
             facts["calibration"] = calibration.to_dict()
         print(json.dumps(facts | result.to_dict(), indent=2))
         return 0
+    cut = f", episodes cut after {args.max_steps} steps" if args.max_steps else ""
     print(
         f"{facts['env']}, {path.name}, {facts['env_steps']:,} steps, {facts['actions']} actions, "
-        f"gamma {facts['gamma']:g}"
+        f"gamma {facts['gamma']:g}{cut}"
     )
     for line in result.lines() + ([] if calibration is None else _table(calibration)):
         print(line)
     return 0
+
+
+def _calibrator(policy: "FrozenPolicy", max_steps: int) -> "Calibrator":
+    """For episodes that are cut after so many steps, unless `max_steps` is 0.
+
+    Raises:
+        UsageError: sigma of this run is no variance of a return, or not of a return that is cut.
+    """
+    from dppo.errors import UsageError
+    from workers.calibration import Calibrator
+
+    if max_steps and policy.config.rollout.time_limit == "time-feature":
+        raise UsageError(
+            f"--max-steps is {max_steps} with --calibration, and the run has --time-limit "
+            "time-feature: its sigma is of episodes up to the environment's own limit; leave one "
+            "of the two out"
+        )
+    return Calibrator(policy)
 
 
 def _table(calibration: "Calibration") -> list[str]:
@@ -107,17 +132,17 @@ def _table(calibration: "Calibration") -> list[str]:
     ]
     lines += [
         f"  {start.place:<5}  {start.predicted_std:<9.4g}  {start.empirical_std:<9.4g}  "
-        f"{_bounds(start.empirical_std_interval):21}  {start.ratio:<5.3f}  "
+        f"{_bounds(start.empirical_std_interval):21}  {_ratio(start.ratio):<5}  "
         f"{_bounds(start.ratio_interval)}"
         for start in calibration.starts
     ]
     lines.append(
-        f"  all starts: ratio {calibration.ratio:.3f} {_bounds(calibration.ratio_interval)}"
+        f"  all starts: ratio {_ratio(calibration.ratio)} {_bounds(calibration.ratio_interval)}"
     )
-    if calibration.along_ratio is None:
+    if not calibration.bins:
         return lines
     lines.append(
-        f"  along the trajectories, with V's error: ratio {calibration.along_ratio:.3f} "
+        f"  along the trajectories, with V's error: ratio {_ratio(calibration.along_ratio)} "
         f"{_bounds(calibration.along_ratio_interval)}"
     )
     lines.append("  tenths of the steps by sigma:  predicted  empirical")
@@ -127,5 +152,9 @@ def _table(calibration: "Calibration") -> list[str]:
     ]
 
 
+def _ratio(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"
+
+
 def _bounds(interval: tuple[float, float] | None) -> str:
-    return "" if interval is None else f"[{interval[0]:.4g}, {interval[1]:.4g}]"
+    return "-" if interval is None else f"[{interval[0]:.4g}, {interval[1]:.4g}]"

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from dppo.arguments import RunFolder
 from dppo.settings import require
+from workers.commands.targets import check_targets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,15 +36,12 @@ class ExportArgs:
 
 def run(args: ExportArgs) -> int:
     """Write and verify."""
-    from dppo.errors import UsageError
+    check_targets(*filter(None, (args.onnx, args.torchscript)))
     from dppo.store.contents import chosen
     from workers.envs import quiet
     from workers.export import Exporter
 
     quiet()
-    for file in filter(None, (args.onnx, args.torchscript)):
-        if not Path(file).absolute().parent.is_dir():
-            raise UsageError(f"{file} lies in no folder that exists; make the folder first")
     path, checkpoint = chosen(args.run, args.which)
     exporter = Exporter(checkpoint, args.seed)
     verified = [exporter.torchscript(Path(args.torchscript))] if args.torchscript else []

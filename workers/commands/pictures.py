@@ -2,11 +2,13 @@
 
 import os
 import sys
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 from dppo.arguments import RunFolder
 from dppo.settings import require
+from workers.commands.targets import check_targets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,10 +25,13 @@ class _Args:
     """best, newest, or a checkpoint's name such as iteration-00000040."""
     seed: int = 0
     """Of start states and actions."""
+    max_steps: int = 0
+    """Cut each episode after so many steps, as a time limit does; 0: as the environment says."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
         require(self.episodes >= 1, "episodes", self.episodes, ">= 1")
+        require(self.max_steps >= 0, "max_steps", self.max_steps, ">= 0")
         require(0 <= self.seed < 2**63, "seed", self.seed, "0 <= seed < 2**63")
 
 
@@ -48,6 +53,7 @@ class WatchArgs(_Args):
 
 def run_video(args: VideoArgs) -> int:
     """Film, and say what is in the file."""
+    check_targets(args.out)
     _draw_unseen()
     from dppo.store.contents import chosen
     from workers.envs import quiet
@@ -62,6 +68,7 @@ def run_video(args: VideoArgs) -> int:
             episodes=args.episodes,
             seed=args.seed,
             deterministic=args.deterministic,
+            max_steps=args.max_steps,
         )
     )
     for number, episode in enumerate(shown):
@@ -96,24 +103,46 @@ def _draw_unseen() -> None:
 
 def run_watch(args: WatchArgs) -> int:
     """Open a window and play."""
-    from dppo.errors import UsageError
-
-    if sys.platform == "linux" and not (
-        os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-    ):
-        raise UsageError(
-            "there is no screen here: neither DISPLAY nor WAYLAND_DISPLAY is set; film the policy "
-            "with dppo video RUN --out FILE.gif, or watch it on a machine with a screen"
-        )
+    _find_screen()
     from dppo.store.contents import chosen
     from workers.envs import quiet
     from workers.film import Stage
 
     quiet()
     path, checkpoint = chosen(args.run, args.which)
-    stage = Stage(checkpoint, "human", args.deterministic)
+    stage = Stage(checkpoint, "human", args.deterministic, args.max_steps)
     print(f"{path.name} of {args.run}; Ctrl-C ends", flush=True)
     for number in range(args.episodes):
         shown = stage.play(args.seed, number, lambda _steps: None)
         print(f"episode {number}: {shown.length} steps, return {shown.total:.6g}", flush=True)
     return 0
+
+
+def _find_screen() -> None:
+    """Try the screen: without one, what draws ends the process with an assertion in C.
+
+    Raises:
+        UsageError: there is none, or none that can be used.
+    """
+    from dppo.errors import UsageError
+
+    advice = "film the policy with dppo video RUN --out FILE.gif, or watch it where there is one"
+    names = ("DISPLAY", "WAYLAND_DISPLAY")
+    if sys.platform == "linux" and not any(map(os.environ.get, names)):
+        raise UsageError(
+            f"there is no screen here: neither DISPLAY nor WAYLAND_DISPLAY is set; {advice}"
+        )
+    try:
+        import glfw
+    except ImportError:  # who draws with it will say so, and others may do without
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pyGLFW's own words for the same
+        usable = bool(glfw.init() and glfw.get_primary_monitor())
+        glfw.terminate()
+    if not usable:
+        found = ", ".join(f"{name} {os.environ[name]}" for name in names if name in os.environ)
+        raise UsageError(
+            f"the screen cannot be used ({found or 'no monitor'}), expected one that shows "
+            f"windows; {advice}"
+        )
