@@ -103,13 +103,20 @@ def own_program(module: str, *words: str) -> list[str]:
 
 
 def parse(kind: type[Args], argv: list[str], program: str, default: Args | None = None) -> Args:
-    """The arguments, or exit code 2 with what is wrong and the nearest flags."""
+    """The arguments, or exit code 2 with what is wrong and the nearest flags.
+
+    Raises:
+        UsageError: a value that cannot be, where tyro before 1.0.16 leaves it to us to say so.
+    """
     import tyro
 
     config = (tyro.conf.OmitArgPrefixes,)
-    if default is None:
-        return tyro.cli(kind, args=argv, prog=program, config=config)
-    return tyro.cli(kind, args=argv, prog=program, config=config, default=default)
+    try:
+        if default is None:
+            return tyro.cli(kind, args=argv, prog=program, config=config)
+        return tyro.cli(kind, args=argv, prog=program, config=config, default=default)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
 
 
 def start_logging(verbose: bool) -> None:
