@@ -32,6 +32,9 @@ RUN is a run directory of dppo-learner, or a checkpoint in it.
 
 Training is dppo-learner; workers on other hosts are dppo-worker."""
 
+_OPEN_ENDED = (["watch"], ["experiment"])
+"""Nothing is missing after Ctrl-C: the one is over then, the other goes on where it stopped."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CheckpointArgs:
@@ -77,14 +80,14 @@ class BenchArgs:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run one subcommand; exit code 2 for wrong usage."""
+    """Run one subcommand; exit code 1: failed, 2: wrong usage, 130, 143: stopped by a signal."""
     from dppo.process import leave, no_window, one_thread
 
     one_thread()
     words = sys.argv[1:] if argv is None else argv
     if words[:1] not in (["video"], ["watch"]):
         no_window()
-    leave(lambda: _command(words))
+    leave(lambda: _command(words), delivers=words[:1] not in _OPEN_ENDED)
 
 
 def _command(words: list[str]) -> int:

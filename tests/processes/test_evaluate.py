@@ -1,6 +1,7 @@
 """A trained policy outside the trainer: NumPy, torch and the command line agree."""
 
 import json
+import signal
 from functools import partial
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import torch
 from dppo.errors import RunFailedError
 from dppo.store.checkpoint import load_checkpoint
 from dppo.torch_policy import PolicyModule
-from tests.support import checkpoints
+from tests.support import catches, checkpoints, wait_until
 from workers.envs import Adapter, make_env
 from workers.evaluate import evaluate, plans_of, policy_of
 from workers.play import play
@@ -154,6 +155,14 @@ def test_dppo_eval_prints_mean_spread_tail_falls_and_intervals(harness, run_dir)
     again = harness.start("dppo", "eval", str(run_dir), *words[:4], "--rows", "16")
     assert again.wait() == 0
     assert again.text == process.text
+
+
+def test_dppo_eval_that_is_stopped_does_not_end_as_if_it_had_printed_something(harness, run_dir):
+    process = harness.start("dppo", "eval", str(run_dir), "--episodes", "1000000", "--json")
+    wait_until(lambda: catches(process.popen.pid, signal.SIGTERM), "it to take signals")
+    process.send(signal.SIGTERM)
+    assert process.wait() == 143
+    assert process.text == "stopped by SIGTERM; the result is not complete\n"
 
 
 def test_dppo_eval_prints_a_line_per_figure_for_people(harness, run_dir):

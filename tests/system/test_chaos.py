@@ -137,7 +137,7 @@ def test_whoever_ends_a_drill_leaves_nothing_running(tmp_path, number, times):
         drill.send_signal(number)
         with contextlib.suppress(subprocess.TimeoutExpired):
             drill.wait(0.001 if times > 1 else 30)
-    drill.wait(30)
+    assert drill.wait(30) == 128 + number
     try:
         wait_until(lambda: not any(map(is_alive, (learner, *workers))), "all to end", 10)
     finally:
