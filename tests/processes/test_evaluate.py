@@ -152,6 +152,9 @@ def test_dppo_eval_prints_mean_spread_tail_falls_and_intervals(harness, run_dir)
         assert summary["length_mean"] == np.mean([episode["length"] for episode in episodes])
         low, high = summary["return_mean_interval"]
         assert low < summary["return_mean"] < high
+        low, high = summary["falls_interval"]
+        assert low < 0.8  # all 12 have fallen, and yet one in five may not
+        assert high == 1
     again = harness.start("dppo", "eval", str(run_dir), *words[:4], "--rows", "16")
     assert again.wait() == 0
     assert again.text == process.text
@@ -173,6 +176,24 @@ def test_dppo_eval_prints_a_line_per_figure_for_people(harness, run_dir):
     assert first.endswith("most likely actions, gamma 0.99")
     assert kinds == "3 episodes, free starts; [95 % interval]"
     assert mean.startswith("  return_mean")
+
+
+def test_a_single_episode_has_no_spread_and_no_interval(harness, run_dir):
+    words = ("eval", str(run_dir), "--episodes", "1", "--fixed-start")
+    process = harness.start("dppo", *words)
+    assert process.wait() == 0, process.text
+    _, *lines = process.text.splitlines()
+    assert [line for line in lines if "episode" in line] == [
+        "1 episode, free starts",
+        "1 episode, the same start",
+    ]
+    assert not [line for line in lines if "_std" in line or "[" in line]
+    printed = harness.start("dppo", *words, "--json")
+    assert printed.wait() == 0, printed.text
+    summary = json.loads(printed.text)["summary"]["free"]
+    unknown = {name for name, value in summary.items() if value is None}
+    assert unknown == {name for name in summary if name.endswith(("_std", "_interval"))}
+    assert summary["return_mean"] == summary["return_min"] == summary["return_cvar10"]
 
 
 def test_dppo_checkpoint_shows_hashes_and_contents(harness, run_dir):
