@@ -30,7 +30,9 @@ RUN is a run directory of dppo-learner, or a checkpoint in it.
   chaos       a run with faults beside one without, to compare the bits
   experiment  a grid of runs, with a report
 
-Training is dppo-learner; workers on other hosts are dppo-worker."""
+Training is dppo-learner; workers on other hosts are dppo-worker. All three take --version.
+
+Exit codes: 0 done, 1 failed, 2 wrong usage, 130 or 143: a signal came before the result."""
 
 _OPEN_ENDED = (["watch"], ["experiment"])
 """Nothing is missing after Ctrl-C: the one is over then, the other goes on where it stopped."""
@@ -115,6 +117,11 @@ def _command(words: list[str]) -> int:
         case ["-h" | "--help", *_]:
             print(f"{_USAGE}\n{_COMMANDS}")
             return 0
+        case ["--version", *_]:
+            from dppo.sources import version_line
+
+            print(version_line())
+            return 0
     found = words[0] if words else "nothing"
     print(
         f"error: found {found}, expected eval, export, video, watch, checkpoint, replay, "
@@ -146,20 +153,20 @@ def _with_run(name: str, words: list[str]) -> int:
 
 
 def _checkpoint(args: CheckpointArgs) -> int:
-    from dppo.config import Config
     from dppo.networks import Networks
     from dppo.store.checkpoint import sha256
-    from dppo.store.contents import chosen, spaces_in
+    from dppo.store.contents import chosen, config_in, spaces_in
 
     path, checkpoint = chosen(args.run, args.which)
     facts = checkpoint.facts
     parameters = checkpoint.arrays["parameters"]
-    parts = Networks.build(spaces_in(checkpoint), Config.from_dict(facts["config"])).parts
+    parts = Networks.build(spaces_in(checkpoint), config_in(checkpoint)).parts
     summary = {
         "path": str(path),
         "env": facts["config"]["run"]["env"],
         "seed": facts["config"]["run"]["seed"],
         "env_steps": facts["env_steps"],
+        "made_by": facts.get("made_by"),
         "parameters_sha256": sha256(parameters),
         **{f"{name}_sha256": sha256(parameters[part]) for name, part in parts.items()},
         "state": facts["state"],

@@ -103,11 +103,17 @@ def own_program(module: str, *words: str) -> list[str]:
 
 
 def parse(kind: type[Args], argv: list[str], program: str, default: Args | None = None) -> Args:
-    """The arguments, or exit code 2 with what is wrong and the nearest flags.
+    """The arguments, or exit code 2 with what is wrong and the nearest flags; or the versions.
 
     Raises:
+        SystemExit: --version, --help or a wrong argument has been answered.
         UsageError: a value that cannot be, where tyro before 1.0.16 leaves it to us to say so.
     """
+    if argv[:1] == ["--version"]:
+        from dppo.sources import version_line
+
+        say(version_line())
+        raise SystemExit(0)
     import tyro
 
     config = (tyro.conf.OmitArgPrefixes,)

@@ -84,7 +84,8 @@ class ProcessArgs:
 class LearnerArgs(Config):
     """Train a policy with safe distributed PPO: same config and seed, same bits, however it runs.
 
-    Needs nothing else: starts its own workers, shows progress, writes a run directory.
+    Needs nothing else: starts its own workers, shows progress, writes a run directory. --version
+    says which code this is.
     """
 
     process: ProcessArgs = field(default_factory=ProcessArgs)

@@ -5,7 +5,6 @@ import logging
 import time
 from collections.abc import Callable
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from dppo.deadlines import Deadlines
 from dppo.errors import UsageError
 from dppo.leases import Leases
 from dppo.networks import Networks
-from dppo.sources import code_hash
+from dppo.sources import made_by, versions
 from dppo.statistics import cvar
 from dppo.store.checkpoint import Checkpoint, newest_checkpoint, sha256
 from dppo.store.contents import SNAPSHOT_FORM, check_snapshots
@@ -36,7 +35,6 @@ from learner.state import State
 
 log = logging.getLogger("learner")
 _STOP_SECONDS = 6.0
-_VERSIONS = ("dppo", "numpy", "mujoco", "gymnasium", "eclipse-zenoh")
 
 
 class Session:
@@ -57,6 +55,7 @@ class Session:
         self._config, self._folder, self._original = config, folder, original
         self._look_after = look_after
         self._every = checkpoint_every
+        self._made_by = made_by()
         self.generation = folder.next_generation()
         welcome = Welcome(
             run=folder.run_id(),
@@ -206,6 +205,7 @@ class Session:
             "snapshots": SNAPSHOT_FORM,
             "run": self._run_id,
             "generation": self.generation,
+            "made_by": self._made_by,
             "exact": self._exchange.exact,
         }
 
@@ -223,8 +223,8 @@ class Session:
         ready = self._exchange.roster.first
         assert ready is not None
         return {
-            "versions": {name: version(name) for name in _VERSIONS},
-            "code": code_hash(),
+            "versions": versions(),
+            "code": self._made_by["code"],
             "numerics": self._exchange.roster.numerics,
             "environment": {
                 **self._spaces(),

@@ -12,7 +12,8 @@ class WorkerArgs:
     """A worker: runs environments and computes gradients for the learner it connects to.
 
     It needs nothing but the address: environment, settings and slots come from the learner. It may
-    be started before the learner, and it waits for the next one when the learner dies.
+    be started before the learner, and it waits for the next one when the learner dies. --version
+    says which code this is: it ought to be the learner's.
     """
 
     connect: str

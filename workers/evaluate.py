@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dppo.config import Config
 from dppo.statistics import Measure, intervals, share_interval, spread, tail_mean
 from dppo.store.checkpoint import Checkpoint
+from dppo.store.contents import config_in
 from dppo.streams import stream
 from workers.envs import make_env, spaces_of
 from workers.play import ROWS, Episode, Plan, Start, Trajectory, play
@@ -109,7 +109,7 @@ class Evaluation:
 
 def policy_of(checkpoint: Checkpoint) -> FrozenPolicy:
     """The checkpoint's policy, for the environment of its run."""
-    env = make_env(Config.from_dict(checkpoint.facts["config"]).run)
+    env = make_env(config_in(checkpoint).run)
     spaces = spaces_of(env)
     env.close()
     return FrozenPolicy(checkpoint, spaces)

@@ -5,11 +5,33 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dppo.config import Config
 from dppo.errors import CheckpointError, UsageError
 from dppo.moments import Moments
 from dppo.normalizer import Statistics
+from dppo.sources import made_by
 from dppo.spaces import Spaces
 from dppo.store.checkpoint import Checkpoint, best_name, load_checkpoint, names
+
+
+def config_in(checkpoint: Checkpoint) -> Config:
+    """Settings of the run.
+
+    Raises:
+        UsageError: another version of dppo wrote one that this version does not have.
+    """
+    try:
+        return Config.from_dict(checkpoint.facts["config"])
+    except ValueError as error:
+        writer, ours = checkpoint.facts.get("made_by"), made_by()
+        raise UsageError(
+            f"the checkpoint was written by {_named(writer) if writer else 'another version'}, "
+            f"this is {_named(ours)}: {error}; install the version that wrote it"
+        ) from error
+
+
+def _named(maker: dict[str, str]) -> str:
+    return f"dppo {maker['dppo']} (code {maker['code']})"
 
 
 def spaces_in(checkpoint: Checkpoint) -> Spaces:
@@ -42,7 +64,8 @@ def chosen(run: str, which: str) -> tuple[Path, Checkpoint]:
         which: best, newest, or a checkpoint's name.
 
     Raises:
-        UsageError: there is none; says what was looked for and what is there.
+        UsageError: there is none, or none that this version can read; says what was looked for
+            and what is there.
     """
     path = Path(run)
     if not (path / "manifest.json").exists():
@@ -57,9 +80,11 @@ def chosen(run: str, which: str) -> tuple[Path, Checkpoint]:
             raise UsageError(f"--which is {which}, expected best, newest, or {', '.join(found)}")
         path = folder / name
     try:
-        return path, load_checkpoint(path)
+        checkpoint = load_checkpoint(path)
     except CheckpointError as error:
         raise UsageError(f"{error}; choose another one with --which") from error
+    config_in(checkpoint)
+    return path, checkpoint
 
 
 SNAPSHOT_FORM = 2

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from dppo.errors import RunFailedError
+from dppo.sources import made_by
 from dppo.store.checkpoint import load_checkpoint
 from dppo.torch_policy import PolicyModule
 from tests.support import catches, checkpoints, wait_until
@@ -203,6 +204,7 @@ def test_dppo_checkpoint_shows_hashes_and_contents(harness, run_dir):
     outcome = json.loads((run_dir / "result.json").read_text())
     assert printed["parameters_sha256"] == outcome["parameters_sha256"]
     assert printed["state"]["iteration"] == 3
+    assert printed["made_by"] == made_by()
     assert {"policy_sha256", "value_sha256", "variance_sha256"} <= printed.keys()
     assert "slot/7" in printed["arrays"]
 
