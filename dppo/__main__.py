@@ -8,6 +8,7 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol, TypeVar
 
 from dppo.arguments import RunFolder
 from dppo.settings import require
@@ -36,6 +37,17 @@ Exit codes: 0 done, 1 failed, 2 wrong usage, 130 or 143: a signal came before th
 
 _OPEN_ENDED = (["watch"], ["experiment"])
 """Nothing is missing after Ctrl-C: the one is over then, the other goes on where it stopped."""
+
+
+class _OfRun(Protocol):
+    """Arguments of a subcommand that looks at a run."""
+
+    @property
+    def run(self) -> str:
+        """Run directory, or one checkpoint folder in it."""
+
+
+Of = TypeVar("Of", bound=_OfRun)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -134,22 +146,41 @@ def _command(words: list[str]) -> int:
 
 def _with_run(name: str, words: list[str]) -> int:
     """The subcommands that look at a run."""
-    from dppo.process import parse
     from workers.commands import evaluation, export, pictures
 
-    program = f"dppo {name}"
     match name:
         case "eval":
-            return evaluation.run(parse(evaluation.EvalArgs, words, program))
+            return evaluation.run(_of_run(evaluation.EvalArgs, name, words))
         case "export":
-            return export.run(parse(export.ExportArgs, words, program))
+            return export.run(_of_run(export.ExportArgs, name, words))
         case "video":
-            return pictures.run_video(parse(pictures.VideoArgs, words, program))
+            return pictures.run_video(_of_run(pictures.VideoArgs, name, words))
         case "watch":
-            return pictures.run_watch(parse(pictures.WatchArgs, words, program))
+            return pictures.run_watch(_of_run(pictures.WatchArgs, name, words))
         case "checkpoint":
-            return _checkpoint(parse(CheckpointArgs, words, program))
-    return _replay(parse(ReplayArgs, words, program))
+            return _checkpoint(_of_run(CheckpointArgs, name, words))
+    return _replay(_of_run(ReplayArgs, name, words))
+
+
+def _of_run(kind: type[Of], name: str, words: list[str]) -> Of:
+    """The arguments of a subcommand that looks at a run.
+
+    Raises:
+        UsageError: one checkpoint is given, and which one to take besides.
+    """
+    from dppo.errors import UsageError
+    from dppo.process import parse
+
+    args = parse(kind, words, f"dppo {name}")
+    from dppo.store.contents import is_checkpoint
+
+    given = any(word.partition("=")[0] == "--which" for word in words)
+    if given and is_checkpoint(Path(args.run)):
+        raise UsageError(
+            f"--which chooses among a run's checkpoints, but {args.run} is one of them; leave "
+            "--which out, or give the run directory"
+        )
+    return args
 
 
 def _checkpoint(args: CheckpointArgs) -> int:

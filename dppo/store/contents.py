@@ -56,6 +56,11 @@ def mean_reward(episodes: NDArray[np.float64]) -> float:
     return float(episodes[:, 0].sum() / episodes[:, 1].sum()) if len(episodes) else 0.0
 
 
+def is_checkpoint(path: Path) -> bool:
+    """A folder that is one checkpoint, not a run's."""
+    return (path / "manifest.json").exists()
+
+
 def chosen(run: str, which: str) -> tuple[Path, Checkpoint]:
     """The checkpoint that was asked for, and where it lies.
 
@@ -68,7 +73,8 @@ def chosen(run: str, which: str) -> tuple[Path, Checkpoint]:
             and what is there.
     """
     path = Path(run)
-    if not (path / "manifest.json").exists():
+    hint = "choose another one"
+    if not is_checkpoint(path):
         folder = path / "checkpoints"
         found = names(folder)
         if not found:
@@ -78,11 +84,11 @@ def chosen(run: str, which: str) -> tuple[Path, Checkpoint]:
         name = {"best": best_name(folder) or found[-1], "newest": found[-1]}.get(which, which)
         if name not in found:
             raise UsageError(f"--which is {which}, expected best, newest, or {', '.join(found)}")
-        path = folder / name
+        path, hint = folder / name, f"{hint} with --which"
     try:
         checkpoint = load_checkpoint(path)
     except CheckpointError as error:
-        raise UsageError(f"{error}; choose another one with --which") from error
+        raise UsageError(f"{error}; {hint}") from error
     config_in(checkpoint)
     return path, checkpoint
 

@@ -214,6 +214,11 @@ def test_dppo_checkpoint_shows_hashes_and_contents(harness, run_dir):
     [
         (["eval", "/nowhere"], "/nowhere holds no checkpoint"),
         (["eval", "{run}", "--which", "latest"], "--which is latest, expected best, newest"),
+        (
+            ["eval", "{one}", "--which=newest"],
+            "--which chooses among a run's checkpoints, but {one} is one of them; leave --which",
+        ),
+        (["checkpoint", "--which", "best", "{one}"], "or give the run directory"),
         (["eval", "{run}", "--episodes", "0"], "--episodes is 0, expected >= 1"),
         (["eval", "{run}", "--rows", "0"], "--rows is 0, expected >= 1"),
         (["train"], "found train, expected eval, export, video, watch, checkpoint, replay"),
@@ -221,7 +226,8 @@ def test_dppo_checkpoint_shows_hashes_and_contents(harness, run_dir):
     ],
 )
 def test_wrong_usage_is_one_sentence_and_code_2(harness, run_dir, words, sentence):
-    process = harness.start("dppo", *(word.format(run=run_dir) for word in words))
+    one = run_dir / "checkpoints" / checkpoints(run_dir)[-1]
+    process = harness.start("dppo", *(word.format(run=run_dir, one=one) for word in words))
     assert process.wait() == 2
-    assert sentence in " ".join(process.text.replace("│", " ").split())
+    assert sentence.format(one=one) in " ".join(process.text.replace("│", " ").split())
     assert "Traceback" not in process.text
