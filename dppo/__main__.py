@@ -62,7 +62,10 @@ class CheckpointArgs:
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayArgs:
-    """Run a run again by its ledger and compare the bits; exit code 1: they differ, and where."""
+    """Run a run again by its ledger and compare the bits; exit code 1: they differ, and where.
+
+    One that was stopped goes on with the same command.
+    """
 
     run: RunFolder
     """Run directory."""
@@ -214,7 +217,7 @@ def _replay(args: ReplayArgs) -> int:
     """Becomes a learner, which this package may not import: signals and exit code are its own.
 
     Raises:
-        UsageError: there is no run, or its replay is there already.
+        UsageError: there is no run.
     """
     from dppo.errors import UsageError
     from dppo.process import own_program
@@ -226,8 +229,6 @@ def _replay(args: ReplayArgs) -> int:
             raise UsageError(
                 f"{run} holds no {name}; expected a run directory of dppo-learner that has begun"
             )
-    if (out / "config.json").exists():
-        raise UsageError(f"{out} holds a run already; remove it, or give another folder by --out")
     words = {"config": run / "config.json", "replay": run, "run-dir": out}
     flags = [word for name, value in words.items() for word in (f"--{name}", str(value))]
     flags += ["--local-workers", str(args.local_workers)]

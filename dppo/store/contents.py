@@ -93,6 +93,11 @@ def chosen(run: str, which: str) -> tuple[Path, Checkpoint]:
     return path, checkpoint
 
 
+def was_exact(checkpoint: Checkpoint) -> bool:
+    """No slot had lost a bit on a move; so of those that earlier versions wrote."""
+    return bool(checkpoint.facts.get("exact", True))
+
+
 SNAPSHOT_FORM = 2
 """Of the slots' snapshots: 1 until environments were batched."""
 
