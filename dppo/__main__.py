@@ -8,6 +8,7 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol, TypeVar
 
 from dppo.arguments import RunFolder
 from dppo.settings import require
@@ -30,7 +31,23 @@ RUN is a run directory of dppo-learner, or a checkpoint in it.
   chaos       a run with faults beside one without, to compare the bits
   experiment  a grid of runs, with a report
 
-Training is dppo-learner; workers on other hosts are dppo-worker."""
+Training is dppo-learner; workers on other hosts are dppo-worker. All three take --version.
+
+Exit codes: 0 done, 1 failed, 2 wrong usage, 130 or 143: a signal came before the result."""
+
+_OPEN_ENDED = (["watch"], ["experiment"])
+"""Nothing is missing after Ctrl-C: the one is over then, the other goes on where it stopped."""
+
+
+class _OfRun(Protocol):
+    """Arguments of a subcommand that looks at a run."""
+
+    @property
+    def run(self) -> str:
+        """Run directory, or one checkpoint folder in it."""
+
+
+Of = TypeVar("Of", bound=_OfRun)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +62,10 @@ class CheckpointArgs:
 
 @dataclass(frozen=True, kw_only=True)
 class ReplayArgs:
-    """Run a run again by its ledger and compare the bits; exit code 1: they differ, and where."""
+    """Run a run again by its ledger and compare the bits; exit code 1: they differ, and where.
+
+    One that was stopped goes on with the same command.
+    """
 
     run: RunFolder
     """Run directory."""
@@ -77,14 +97,14 @@ class BenchArgs:
 
 
 def main(argv: list[str] | None = None) -> None:
-    """Run one subcommand; exit code 2 for wrong usage."""
+    """Run one subcommand; exit code 1: failed, 2: wrong usage, 130, 143: stopped by a signal."""
     from dppo.process import leave, no_window, one_thread
 
     one_thread()
     words = sys.argv[1:] if argv is None else argv
     if words[:1] not in (["video"], ["watch"]):
         no_window()
-    leave(lambda: _command(words))
+    leave(lambda: _command(words), delivers=words[:1] not in _OPEN_ENDED)
 
 
 def _command(words: list[str]) -> int:
@@ -112,6 +132,11 @@ def _command(words: list[str]) -> int:
         case ["-h" | "--help", *_]:
             print(f"{_USAGE}\n{_COMMANDS}")
             return 0
+        case ["--version", *_]:
+            from dppo.sources import version_line
+
+            print(version_line())
+            return 0
     found = words[0] if words else "nothing"
     print(
         f"error: found {found}, expected eval, export, video, watch, checkpoint, replay, "
@@ -124,39 +149,58 @@ def _command(words: list[str]) -> int:
 
 def _with_run(name: str, words: list[str]) -> int:
     """The subcommands that look at a run."""
-    from dppo.process import parse
     from workers.commands import evaluation, export, pictures
 
-    program = f"dppo {name}"
     match name:
         case "eval":
-            return evaluation.run(parse(evaluation.EvalArgs, words, program))
+            return evaluation.run(_of_run(evaluation.EvalArgs, name, words))
         case "export":
-            return export.run(parse(export.ExportArgs, words, program))
+            return export.run(_of_run(export.ExportArgs, name, words))
         case "video":
-            return pictures.run_video(parse(pictures.VideoArgs, words, program))
+            return pictures.run_video(_of_run(pictures.VideoArgs, name, words))
         case "watch":
-            return pictures.run_watch(parse(pictures.WatchArgs, words, program))
+            return pictures.run_watch(_of_run(pictures.WatchArgs, name, words))
         case "checkpoint":
-            return _checkpoint(parse(CheckpointArgs, words, program))
-    return _replay(parse(ReplayArgs, words, program))
+            return _checkpoint(_of_run(CheckpointArgs, name, words))
+    return _replay(_of_run(ReplayArgs, name, words))
+
+
+def _of_run(kind: type[Of], name: str, words: list[str]) -> Of:
+    """The arguments of a subcommand that looks at a run.
+
+    Raises:
+        UsageError: one checkpoint is given, and which one to take besides.
+    """
+    from dppo.errors import UsageError
+    from dppo.process import parse
+
+    args = parse(kind, words, f"dppo {name}")
+    from dppo.store.contents import is_checkpoint
+
+    given = any(word.partition("=")[0] == "--which" for word in words)
+    if given and is_checkpoint(Path(args.run)):
+        raise UsageError(
+            f"--which chooses among a run's checkpoints, but {args.run} is one of them; leave "
+            "--which out, or give the run directory"
+        )
+    return args
 
 
 def _checkpoint(args: CheckpointArgs) -> int:
-    from dppo.config import Config
     from dppo.networks import Networks
     from dppo.store.checkpoint import sha256
-    from dppo.store.contents import chosen, spaces_in
+    from dppo.store.contents import chosen, config_in, spaces_in
 
     path, checkpoint = chosen(args.run, args.which)
     facts = checkpoint.facts
     parameters = checkpoint.arrays["parameters"]
-    parts = Networks.build(spaces_in(checkpoint), Config.from_dict(facts["config"])).parts
+    parts = Networks.build(spaces_in(checkpoint), config_in(checkpoint)).parts
     summary = {
         "path": str(path),
         "env": facts["config"]["run"]["env"],
         "seed": facts["config"]["run"]["seed"],
         "env_steps": facts["env_steps"],
+        "made_by": facts.get("made_by"),
         "parameters_sha256": sha256(parameters),
         **{f"{name}_sha256": sha256(parameters[part]) for name, part in parts.items()},
         "state": facts["state"],
@@ -173,7 +217,7 @@ def _replay(args: ReplayArgs) -> int:
     """Becomes a learner, which this package may not import: signals and exit code are its own.
 
     Raises:
-        UsageError: there is no run, or its replay is there already.
+        UsageError: there is no run.
     """
     from dppo.errors import UsageError
     from dppo.process import own_program
@@ -185,8 +229,6 @@ def _replay(args: ReplayArgs) -> int:
             raise UsageError(
                 f"{run} holds no {name}; expected a run directory of dppo-learner that has begun"
             )
-    if (out / "config.json").exists():
-        raise UsageError(f"{out} holds a run already; remove it, or give another folder by --out")
     words = {"config": run / "config.json", "replay": run, "run-dir": out}
     flags = [word for name, value in words.items() for word in (f"--{name}", str(value))]
     flags += ["--local-workers", str(args.local_workers)]

@@ -103,13 +103,26 @@ def own_program(module: str, *words: str) -> list[str]:
 
 
 def parse(kind: type[Args], argv: list[str], program: str, default: Args | None = None) -> Args:
-    """The arguments, or exit code 2 with what is wrong and the nearest flags."""
+    """The arguments, or exit code 2 with what is wrong and the nearest flags; or the versions.
+
+    Raises:
+        SystemExit: --version, --help or a wrong argument has been answered.
+        UsageError: a value that cannot be, where tyro before 1.0.16 leaves it to us to say so.
+    """
+    if argv[:1] == ["--version"]:
+        from dppo.sources import version_line
+
+        say(version_line())
+        raise SystemExit(0)
     import tyro
 
     config = (tyro.conf.OmitArgPrefixes,)
-    if default is None:
-        return tyro.cli(kind, args=argv, prog=program, config=config)
-    return tyro.cli(kind, args=argv, prog=program, config=config, default=default)
+    try:
+        if default is None:
+            return tyro.cli(kind, args=argv, prog=program, config=config)
+        return tyro.cli(kind, args=argv, prog=program, config=config, default=default)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
 
 
 def start_logging(verbose: bool) -> None:
@@ -142,11 +155,16 @@ class _Ending:
             raise KeyboardInterrupt if number == signal.SIGINT else Terminated
 
 
-def leave(work: Callable[[], int]) -> NoReturn:
+def leave(work: Callable[[], int], delivers: bool = False) -> NoReturn:
     """Run `work` and end the process with its exit code, without waiting for any thread.
 
     The first Ctrl-C or SIGTERM ends it. Later ones change nothing for a while: they would cut
     short what tidies up, and leave processes behind.
+
+    Args:
+        work: its exit code is the process's.
+        delivers: after a signal the result is missing: exit code 128 + signal, and a line. Else
+            it is 0: what was reached is kept, or nobody waits for anything.
     """
     ending = _Ending()
     signal.signal(signal.SIGTERM, ending.arrived)
@@ -156,7 +174,7 @@ def leave(work: Callable[[], int]) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # it may know neither σ nor ψ
             stream.reconfigure(errors="replace")
-    code = _exit_code(work)
+    code = _exit_code(work, delivers)
     ending.begin()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):  # a pipe that nobody reads, a file on a full disk
@@ -164,11 +182,17 @@ def leave(work: Callable[[], int]) -> NoReturn:
     os._exit(code)
 
 
-def _exit_code(work: Callable[[], int]) -> int:
+def _exit_code(work: Callable[[], int], delivers: bool) -> int:
     try:
         return work()
-    except (KeyboardInterrupt, Terminated, BrokenPipeError):
-        return 0
+    except BrokenPipeError:
+        return 0  # whoever reads has enough
+    except (KeyboardInterrupt, Terminated) as stop:
+        if not delivers:
+            return 0
+        number = signal.SIGINT if isinstance(stop, KeyboardInterrupt) else signal.SIGTERM
+        say(f"stopped by {number.name}; the result is not complete", sys.stderr)
+        return 128 + number
     except (DppoError, OSError) as error:
         say(f"error: {error}", sys.stderr)
         return 2 if isinstance(error, UsageError) else 1

@@ -1,10 +1,12 @@
-"""Which code a run was made with."""
+"""Which code is at work, and which a run was made with."""
 
 import hashlib
-from importlib import metadata
+from importlib.metadata import version
 from pathlib import Path
 
 _PACKAGES = ("dppo", "learner", "workers")
+_LIBRARIES = ("dppo", "numpy", "mujoco", "gymnasium", "eclipse-zenoh")
+"""What decides the bits of a run, or whether two processes understand each other."""
 _ROOT = Path(__file__).parent.parent
 
 
@@ -20,9 +22,19 @@ def code_hash(root: Path = _ROOT) -> str:
     return found.hexdigest()[:12]
 
 
-def version() -> str:
-    """Of the installed package; empty where only the source lies."""
-    try:
-        return metadata.version("dppo")
-    except metadata.PackageNotFoundError:
-        return ""
+def versions() -> dict[str, str]:
+    """Of this package and of the libraries that count, by name."""
+    return {name: version(name) for name in _LIBRARIES}
+
+
+def made_by() -> dict[str, str]:
+    """Release and code of this package, to stand in what it writes."""
+    return {"dppo": version("dppo"), "code": code_hash()}
+
+
+def version_line() -> str:
+    """What --version prints: equal lines, equal software."""
+    found = versions()
+    own = found.pop("dppo")
+    libraries = (f"{name} {number}" for name, number in found.items())
+    return f"dppo {own} ({', '.join([f'code {code_hash()}', *libraries])})"

@@ -1,5 +1,6 @@
 """Figures of sets of returns, and how far they are to be trusted."""
 
+import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -9,6 +10,8 @@ Float64 = NDArray[np.float64]
 Measure = Callable[[Float64], Float64]
 """A figure of each row of values [..., N]."""
 RESAMPLES = 2000
+_Z = 1.959964
+"""A normal variable is within so many standard deviations of its mean in 95 of 100 cases."""
 _ROUNDING = 1e-12
 _AT_ONCE = 1_000_000
 """Numbers drawn at a time: 8 MB."""
@@ -35,6 +38,18 @@ def spread(values: Float64) -> Float64:
 def cvar(returns: Float64, fraction: float = 0.1) -> float:
     """Conditional value at risk: mean of the worst `fraction` of the returns, of at least one."""
     return float(tail_mean(returns, fraction))
+
+
+def share_interval(count: int, trials: int) -> tuple[float, float]:
+    """95 % interval of a share of which `count` of some trials are known: Wilson (1927).
+
+    It has a width where all trials or none count, and a bootstrap has none: none of 100 allows
+    for 3.7 %.
+    """
+    share, square = count / trials, _Z**2 / trials
+    middle = (share + square / 2) / (1 + square)
+    half = math.sqrt(share * (1 - share) * square + square**2 / 4) / (1 + square)
+    return max(0.0, middle - half), min(1.0, middle + half)
 
 
 def intervals(

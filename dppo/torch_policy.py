@@ -14,10 +14,9 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from dppo.config import Config
 from dppo.networks import Networks
 from dppo.store.checkpoint import Checkpoint
-from dppo.store.contents import spaces_in, statistics_in
+from dppo.store.contents import config_in, spaces_in, statistics_in
 
 Layers = Sequence[tuple[NDArray[np.float32], NDArray[np.float32]]]
 Normal = tuple[NDArray[np.float64], NDArray[np.float64], float]
@@ -66,7 +65,7 @@ class PolicyModule(nn.Module):
         Raises:
             ValueError: the policy was trained for actions of another kind or size.
         """
-        config = Config.from_dict(checkpoint.facts["config"])
+        config = config_in(checkpoint)
         trained = spaces_in(checkpoint)
         found = _kind_and_sizes(action_space)
         if found != (trained.action_kind, trained.action_sizes):

@@ -9,9 +9,8 @@ A checkpoint's folder in the run will do, too.
 
 import sys
 
-from dppo.config import Config
 from dppo.errors import UsageError
-from dppo.store.contents import chosen
+from dppo.store.contents import chosen, config_in
 from workers.envs import Adapter, make_env, quiet, spaces_of
 from workers.policy import FrozenPolicy
 
@@ -20,7 +19,7 @@ def main(run: str) -> None:
     quiet()
     path, checkpoint = chosen(run, "best")  # verifies its checksums
 
-    env = make_env(Config.from_dict(checkpoint.facts["config"]).run)
+    env = make_env(config_in(checkpoint).run)
     policy = FrozenPolicy(checkpoint, spaces_of(env))
     adapter = Adapter(env.observation_space, env.action_space)
     print(f"{path.name} of {run}: trained for {checkpoint.facts['env_steps']} steps")

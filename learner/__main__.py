@@ -84,7 +84,8 @@ class ProcessArgs:
 class LearnerArgs(Config):
     """Train a policy with safe distributed PPO: same config and seed, same bits, however it runs.
 
-    Needs nothing else: starts its own workers, shows progress, writes a run directory.
+    Needs nothing else: starts its own workers, shows progress, writes a run directory. --version
+    says which code this is.
     """
 
     process: ProcessArgs = field(default_factory=ProcessArgs)
@@ -148,7 +149,7 @@ def _train(config: Config, args: ProcessArgs, supervisor: int | None) -> int:
     address = listening_address(args.listen, args.insecure)
     alarm = Alarm()
     link = SocketLearnerLink(ZenohLearnerLink(address, alarm.ring), alarm)
-    folder = _folder(config, args)
+    folder = _folder(config, args, original)
     log_file = log_to_file(folder.path / "log.txt")
     signals = StopSignals(supervisor)
     count = args.local_workers
@@ -243,14 +244,16 @@ def _compared(session: "Session", original: "Original") -> int:
     """A replay is over, and nothing that it has reached differs."""
     done = 0 if session.state is None else session.state.iteration
     if done < len(original.iterations):
-        whole = len(original.iterations)
-        say(f"stopped after {done} of {whole} iterations: not compared to the end")
+        say(
+            f"stopped after {done} of {len(original.iterations)} iterations: not compared to the "
+            "end; the same command goes on"
+        )
         return 1
     say(original.verdict)
     return 0
 
 
-def _folder(config: Config, args: ProcessArgs) -> "RunDirectory":
+def _folder(config: Config, args: ProcessArgs, original: "Original | None") -> "RunDirectory":
     """The run directory, if this run may begin or go on in it.
 
     Raises:
@@ -261,14 +264,14 @@ def _folder(config: Config, args: ProcessArgs) -> "RunDirectory":
 
     path = Path(args.run_dir) if args.run_dir else default_path(config, args.name)
     folder = RunDirectory.open(path)
-    if folder.has_run and (args.replay or args.resume == "never"):
+    if folder.has_run and args.resume == "never":
         raise UsageError(
-            f"--run-dir {path} holds a run, and --replay begins anew; give another folder"
-            if args.replay
-            else f"--run-dir {path} holds a run and --resume is never; give another folder, or "
+            f"--run-dir {path} holds a run and --resume is never; give another folder, or "
             "--resume auto to continue it"
         )
     folder.check_config(config)
+    if original is not None:
+        original.check_folder(folder)
     folder.check_fence()
     return folder
 

@@ -12,6 +12,7 @@ from typing import Any
 from dppo.config import Config
 from dppo.errors import RunFailedError, UsageError
 from dppo.store.ledger import IterationLine, Line, UpdateLine, read_ledger
+from dppo.store.run_directory import RunDirectory
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +83,33 @@ class Original:
             f"of 0 to {settings.slots - 1}"
         )
 
+    @property
+    def run_id(self) -> str:
+        """The run's random id; empty if an early version made it."""
+        try:
+            return (self.run / "run-id").read_text()
+        except OSError:
+            return ""
+
+    def check_folder(self, folder: RunDirectory) -> None:
+        """A replay begins in a new folder, or goes on in its own.
+
+        Raises:
+            UsageError: the folder holds another run, or the whole replay.
+        """
+        if not (folder.path / "config.json").exists():
+            return
+        if folder.read_json("config.json").get("replay_of") != self.run_id:
+            raise UsageError(
+                f"{folder.path} holds a run that is no replay of {self.run}; give another folder"
+            )
+        result = folder.path / "result.json"
+        if result.exists() and folder.read_json(result.name).get("status") == "finished":
+            raise UsageError(
+                f"{folder.path} holds a finished replay of {self.run}; remove it to begin anew, "
+                "or give another folder"
+            )
+
     def slots(self, iteration: int, update: int) -> tuple[int, ...]:
         """Whom the original's update went on with."""
         line = self.updates.get((iteration, update))
@@ -89,11 +117,13 @@ class Original:
         return tuple(slot for slot in range(self.slots_of_run) if slot not in dropped)
 
     def compare(self, line: Line) -> None:
-        """A line of the replay with the original's.
+        """A line of the replay with the original's, if that has come so far.
 
         Raises:
             RunFailedError: it is the first one with other parameters.
         """
+        if line.iteration >= len(self.iterations):
+            return  # the original has been resumed since, from an earlier checkpoint
         match line:
             case UpdateLine():
                 where = f"iteration {line.iteration}, update {line.update}"

@@ -5,7 +5,6 @@ import logging
 import time
 from collections.abc import Callable
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +13,11 @@ from dppo.deadlines import Deadlines
 from dppo.errors import UsageError
 from dppo.leases import Leases
 from dppo.networks import Networks
-from dppo.sources import code_hash
+from dppo.sources import made_by, versions
 from dppo.statistics import cvar
 from dppo.store.checkpoint import Checkpoint, newest_checkpoint, sha256
-from dppo.store.contents import SNAPSHOT_FORM, check_snapshots
+from dppo.store.contents import SNAPSHOT_FORM, check_snapshots, was_exact
+from dppo.store.ledger import Line
 from dppo.store.run_directory import RunDirectory
 from dppo.wire.links import LearnerLink
 from dppo.wire.messages import Welcome
@@ -36,7 +36,6 @@ from learner.state import State
 
 log = logging.getLogger("learner")
 _STOP_SECONDS = 6.0
-_VERSIONS = ("dppo", "numpy", "mujoco", "gymnasium", "eclipse-zenoh")
 
 
 class Session:
@@ -57,6 +56,7 @@ class Session:
         self._config, self._folder, self._original = config, folder, original
         self._look_after = look_after
         self._every = checkpoint_every
+        self._made_by = made_by()
         self.generation = folder.next_generation()
         welcome = Welcome(
             run=folder.run_id(),
@@ -99,7 +99,7 @@ class Session:
             self._check_environment(self._folder.read_json("config.json"), self._folder.path)
             check_snapshots(checkpoint)
             self.state = State.from_checkpoint(checkpoint)
-            self._exchange.exact = _was_exact(checkpoint)
+            self._exchange.exact = was_exact(checkpoint)
             self._saving.resumed(self.state)
             log.warning(
                 "resuming at iteration %d of %d", self.state.iteration, self._config.iterations
@@ -120,14 +120,20 @@ class Session:
         """The run's files, where the state stands."""
         rollout = self._config.rollout
         accounts = Accounts(rollout.slots)
-        runlog = RunLog(self._folder.path, iteration, self._disk, accounts.note)
+
+        def noted(line: Line) -> None:
+            accounts.note(line)
+            if self._original is not None:  # it may have changed since
+                self._original.compare(line)
+
+        runlog = RunLog(self._folder.path, iteration, self._disk, noted)
         self._ledger = Ledger(rollout, runlog.note, self._deadlines, accounts, self._original)
         return self._ledger, runlog
 
     def _told_later(self, checkpoint: Checkpoint) -> dict[str, object]:
         """The contents of result.json of a run that an earlier learner has brought to its end."""
         self.state = State.from_checkpoint(checkpoint)
-        self._exchange.exact = _was_exact(checkpoint)
+        self._exchange.exact = was_exact(checkpoint)
         _, runlog = self._take_up_logs(self.state.iteration)
         runlog.close()
         return self._result("finished")
@@ -144,7 +150,7 @@ class Session:
     def interrupted(self) -> dict[str, object] | None:
         """After a signal: pause the workers; the contents of result.json, if anything was done."""
         self._exchange.stop("the learner was stopped", final=False)
-        return None if self.state is None else self._result("stopped")
+        return None if self._ledger is None else self._result("stopped")
 
     def _iterate(
         self, networks: Networks, ledger: Ledger, runlog: RunLog, console: Console, stop_at: int
@@ -206,6 +212,7 @@ class Session:
             "snapshots": SNAPSHOT_FORM,
             "run": self._run_id,
             "generation": self.generation,
+            "made_by": self._made_by,
             "exact": self._exchange.exact,
         }
 
@@ -223,8 +230,8 @@ class Session:
         ready = self._exchange.roster.first
         assert ready is not None
         return {
-            "versions": {name: version(name) for name in _VERSIONS},
-            "code": code_hash(),
+            "versions": versions(),
+            "code": self._made_by["code"],
             "numerics": self._exchange.roster.numerics,
             "environment": {
                 **self._spaces(),
@@ -234,10 +241,12 @@ class Session:
         }
 
     def _write_config(self, networks: Networks) -> None:
+        original = self._original
         self._folder.write_json(
             "config.json",
             {
                 "config": self._config.to_dict(),
+                **({} if original is None else {"replay_of": original.run_id}),
                 **self._facts(),
                 "parameters": networks.size,
                 "iterations": self._config.iterations,
@@ -287,8 +296,3 @@ class Session:
             "dropped_gradients": state.dropped_gradients,
             **self._ledger.accounts.figures(),
         }
-
-
-def _was_exact(checkpoint: Checkpoint) -> bool:
-    """No slot had lost a bit on a move; so of those that earlier versions wrote."""
-    return bool(checkpoint.facts.get("exact", True))

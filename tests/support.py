@@ -126,6 +126,13 @@ def state_of(pid: int) -> str:
         return ""
 
 
+def catches(pid: int, number: signal.Signals) -> bool:
+    """A process of that number has a handler for the signal."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    (caught,) = [line.split()[1] for line in status.splitlines() if line.startswith("SigCgt")]
+    return bool(int(caught, 16) >> (number - 1) & 1)
+
+
 def is_alive(pid: int) -> bool:
     return state_of(pid) not in ("", "Z")
 

@@ -12,7 +12,8 @@ class WorkerArgs:
     """A worker: runs environments and computes gradients for the learner it connects to.
 
     It needs nothing but the address: environment, settings and slots come from the learner. It may
-    be started before the learner, and it waits for the next one when the learner dies.
+    be started before the learner, and it waits for the next one when the learner dies. --version
+    says which code this is: it ought to be the learner's.
     """
 
     connect: str
@@ -31,18 +32,14 @@ class WorkerArgs:
 
 def main(argv: list[str] | None = None) -> None:
     """Run one worker process; the exit code says how it ended."""
-    from dppo.process import leave, no_window, one_thread, parse, start_logging
+    from dppo.process import leave, no_window, one_thread
 
     one_thread()
     no_window()
     arguments = sys.argv[1:] if argv is None else argv
     if arguments[:1] == ["--socket"]:  # a child of the learner's: not for people
-        own = parse(_ChildArgs, arguments, "dppo-worker")
-        start_logging(own.verbose)
-        leave(lambda: _serve_parent(own))
-    args = parse(WorkerArgs, arguments, "dppo-worker")
-    start_logging(args.verbose)
-    leave(lambda: _work(args))
+        leave(lambda: _serve_parent(arguments))
+    leave(lambda: _work(arguments))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,22 +52,28 @@ class _ChildArgs:
     verbose: bool = True
 
 
-def _serve_parent(args: _ChildArgs) -> int:
-    from dppo.process import end_with_parent
+def _serve_parent(arguments: list[str]) -> int:
+    from dppo.process import end_with_parent, parse, start_logging
     from dppo.wire.socket_links import SocketWorkerLink
     from workers.envs import quiet
     from workers.membership import Member
 
     end_with_parent()
+    args = parse(_ChildArgs, arguments, "dppo-worker")
+    start_logging(args.verbose)
     link = SocketWorkerLink(args.socket, orphaned=lambda: os._exit(0))
     quiet()
     Member(args.name, link, float("inf")).live()
     return 0
 
 
-def _work(args: WorkerArgs) -> int:
+def _work(arguments: list[str]) -> int:
     from functools import partial
 
+    from dppo.process import parse, start_logging
+
+    args = parse(WorkerArgs, arguments, "dppo-worker")  # before what takes long to load
+    start_logging(args.verbose)
     from dppo.errors import UsageError
     from dppo.wire.zenoh_links import ZenohWorkerLink, open_connecting
     from workers.envs import quiet

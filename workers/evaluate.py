@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dppo.config import Config
-from dppo.statistics import Measure, intervals, spread, tail_mean
+from dppo.statistics import Measure, intervals, share_interval, spread, tail_mean
 from dppo.store.checkpoint import Checkpoint
+from dppo.store.contents import config_in
 from dppo.streams import stream
 from workers.envs import make_env, spaces_of
 from workers.play import ROWS, Episode, Plan, Start, Trajectory, play
@@ -39,7 +39,11 @@ class Evaluation:
         return list(dict.fromkeys(episode.plan.start for episode in self.episodes))
 
     def summary(self, start: Start) -> dict[str, Any]:
-        """Mean, spread and tail of the episodes with this start, with 95 % bootstrap intervals."""
+        """Mean, spread and tail of the episodes with this start, with 95 % intervals.
+
+        By bootstrap, and Wilson's of the share of falls. A single episode has no spread and no
+        intervals: None.
+        """
         chosen = [episode for episode in self.episodes if episode.plan.start == start]
         found: dict[str, Any] = {"episodes": len(chosen)}
         for name, values in (
@@ -48,12 +52,14 @@ class Evaluation:
         ):
             found |= self._figures(name, values, _MEASURES)
             found |= {f"{name}_min": float(values.min()), f"{name}_max": float(values.max())}
-        share = {"": _MEASURES["mean"]}
-        for name, values in (
-            ("falls", np.array([float(episode.terminated) for episode in chosen])),
-            ("length_mean", np.array([float(episode.length) for episode in chosen])),
-        ):
-            found |= self._figures(name, values, share)
+        falls = sum(episode.terminated for episode in chosen)
+        found["falls"] = falls / len(chosen)
+        found["falls_interval"] = list(share_interval(falls, len(chosen)))
+        lengths = np.array([float(episode.length) for episode in chosen])
+        found |= self._figures("length", lengths, {"mean": _MEASURES["mean"]})
+        if len(chosen) == 1:
+            unknown = (name for name in found if name.endswith(("_std", "_interval")))
+            found |= dict.fromkeys(unknown)
         return found
 
     def _figures(
@@ -62,7 +68,7 @@ class Evaluation:
         rng = stream(self.seed, "evaluation", 0, 0, _BOOTSTRAP)
         found: dict[str, float | list[float]] = {}
         for measure, bounds in intervals(values, measures, rng).items():
-            key = f"{name}_{measure}" if measure else name
+            key = f"{name}_{measure}"
             found |= {key: float(measures[measure](values)), f"{key}_interval": list(bounds)}
         return found
 
@@ -90,9 +96,11 @@ class Evaluation:
         for start in self.starts():
             summary = self.summary(start)
             kind = "free starts" if start == "free" else "the same start"
-            lines.append(f"{summary.pop('episodes')} episodes, {kind}; [95 % interval]")
+            count = summary.pop("episodes")
+            words = "1 episode" if count == 1 else f"{count} episodes"
+            lines.append(f"{words}, {kind}" + ("" if count == 1 else "; [95 % interval]"))
             for name, value in summary.items():
-                if name.endswith("_interval"):
+                if value is None or name.endswith("_interval"):
                     continue
                 bounds = summary.get(f"{name}_interval")
                 interval = "" if bounds is None else f"  [{bounds[0]:.6g}, {bounds[1]:.6g}]"
@@ -102,7 +110,7 @@ class Evaluation:
 
 def policy_of(checkpoint: Checkpoint) -> FrozenPolicy:
     """The checkpoint's policy, for the environment of its run."""
-    env = make_env(Config.from_dict(checkpoint.facts["config"]).run)
+    env = make_env(config_in(checkpoint).run)
     spaces = spaces_of(env)
     env.close()
     return FrozenPolicy(checkpoint, spaces)

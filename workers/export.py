@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dppo.config import Config
 from dppo.errors import RunFailedError, UsageError
-from dppo.sources import version
+from dppo.sources import made_by
 from dppo.store.checkpoint import Checkpoint, sha256
+from dppo.store.contents import config_in
 from workers.envs import Adapter, make_env, spaces_of
 from workers.evaluate import plans_of
 from workers.play import play
@@ -52,7 +52,7 @@ class Exporter:
         """Plays two episodes, of 2,000 steps at most."""
         from dppo.torch_policy import PolicyModule
 
-        env = make_env(Config.from_dict(checkpoint.facts["config"]).run)
+        env = make_env(config_in(checkpoint).run)
         policy, space = FrozenPolicy(checkpoint, spaces_of(env)), env.action_space
         adapter = Adapter(env.observation_space, space)
         env.close()
@@ -64,7 +64,7 @@ class Exporter:
         self._inputs: Inputs = {"obs": obs} | ({"steps": steps} if self._module.has_clock else {})
         self._facts = {
             "env": policy.config.run.env,
-            "dppo_version": version(),
+            "dppo_version": made_by()["dppo"],
             "parameters_sha256": sha256(policy.parameters),
         }
         modes = policy.actions(obs, steps, None)

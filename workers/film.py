@@ -15,9 +15,9 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from dppo.config import Config
 from dppo.errors import RunFailedError, UsageError
 from dppo.store.checkpoint import Checkpoint
+from dppo.store.contents import config_in
 from workers.envs import Adapter, Env, make_env, spaces_of
 from workers.play import Plan
 from workers.policy import FrozenPolicy
@@ -50,7 +50,7 @@ class Stage:
         max_steps: int = 0,
     ) -> None:
         """`max_steps`: cut episodes after so many; 0: as the environment says."""
-        config = Config.from_dict(checkpoint.facts["config"])
+        config = config_in(checkpoint)
         kwargs = json.loads(config.run.env_kwargs) | {"render_mode": mode}
         self.env: Env = make_env(replace(config.run, env_kwargs=json.dumps(kwargs)))
         self._policy = FrozenPolicy(checkpoint, spaces_of(self.env))

@@ -6,13 +6,12 @@ Shape letters: n rows · O observation size · A action size · K numbers of noi
 import numpy as np
 from numpy.typing import NDArray
 
-from dppo.config import Config
 from dppo.distributions import Distribution, distribution_of
 from dppo.errors import UsageError
 from dppo.networks import Networks
 from dppo.spaces import Spaces
 from dppo.store.checkpoint import Checkpoint
-from dppo.store.contents import mean_reward, spaces_in, statistics_in
+from dppo.store.contents import config_in, mean_reward, spaces_in, statistics_in
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -27,7 +26,7 @@ class FrozenPolicy:
         Raises:
             UsageError: the checkpoint was trained on other sizes.
         """
-        self.config = Config.from_dict(checkpoint.facts["config"])
+        self.config = config_in(checkpoint)
         trained = spaces_in(checkpoint)
         if trained != spaces:
             raise UsageError(

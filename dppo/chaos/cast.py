@@ -16,7 +16,7 @@ from pathlib import Path
 from dppo.chaos.plan import LINK_KINDS, Fault
 from dppo.chaos.processes import Child, Handle, children_of
 from dppo.chaos.proxy import Proxy
-from dppo.errors import RunFailedError
+from dppo.errors import RunFailedError, UsageError
 from dppo.store.checkpoint import names
 
 
@@ -76,17 +76,21 @@ class Cast:
 
         Raises:
             RunFailedError: it has ended unasked, before the run was finished.
+            UsageError: it refuses to begin the run.
         """
         if self.learner.running:
             return False
+        code = self.learner.popen.returncode
+        if code == 2 and not (self.run_dir / "config.json").exists():
+            raise UsageError(f"the learner refuses the run: {self.learner.complaint()}")
         if read_result(self.run_dir).get("status") == "finished":
             return True
         if not self._asked:
-            if self.learner.popen.returncode == 0:  # --stop-at
+            if code == 0:  # --stop-at
                 return True
             raise RunFailedError(
-                f"the learner ended with exit code {self.learner.popen.returncode}, unasked; it "
-                f"said: {self.learner.last_words()}"
+                f"the learner ended with exit code {code}, unasked; it said: "
+                f"{self.learner.last_words()}"
             )
         self.learner = self._start_learner()
         return False

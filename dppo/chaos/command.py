@@ -1,8 +1,10 @@
 """`dppo chaos`: an undisturbed run, the same run with faults, and whether their bits agree."""
 
+import contextlib
 import json
+import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -24,6 +26,7 @@ _ENDLESS = str(10**12)
 """Steps of a soak: more than it can make."""
 _OURS = ("--run-dir", "--listen", "--local-workers", "--workers", "--env", "--env-id")
 _FAR = 10**9
+_RUNS = ("undisturbed", "disturbed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,7 +105,7 @@ def run(args: ChaosArgs, learner_flags: tuple[str, ...]) -> int:
     """Both runs; exit code 0: the disturbed one finished, and with no drop has the same bits.
 
     Raises:
-        UsageError: the plan or the folder is of no use.
+        UsageError: the plan, the learner's flags or the folder is of no use; nothing is left.
         RunFailedError: the undisturbed run fails.
     """
     if args.plan_only and not args.plan:
@@ -112,12 +115,16 @@ def run(args: ChaosArgs, learner_flags: tuple[str, ...]) -> int:
     if args.plan_only and plan is not None:
         print(plan.to_json(), end="")
         return 0
-    folder = _new_folder(args)
-    quiet, disturbed = (
-        _soak(args, learner_flags, folder)
-        if args.minutes
-        else _compare(args, learner_flags, folder, plan)
-    )
+    folder, is_ours = _new_folder(args)
+    try:
+        quiet, disturbed = (
+            _soak(args, learner_flags, folder)
+            if args.minutes
+            else _compare(args, learner_flags, folder, plan)
+        )
+    except UsageError:  # the corrected command will want this folder
+        _clear(folder, is_ours)
+        raise
     report = {
         "same_bits": quiet.sha256 == disturbed.sha256 != "",
         "undisturbed": quiet.to_dict(),
@@ -189,19 +196,12 @@ def _drawn(args: ChaosArgs, iterations: int) -> Plan:
 def _endless(args: ChaosArgs) -> Iterator[Fault]:
     """Faults for a soak, in rounds in which each kind comes once."""
     for turn in range(_FAR):
-        plan = Plan.seeded(
-            args.seed + turn,
-            faults=len(args.chosen),
-            iterations=_FAR,
-            workers=args.workers,
-            local_workers=args.local_workers,
-            kinds=args.chosen,
-        )
-        yield from plan.faults
+        turns = replace(args, seed=args.seed + turn, faults=len(args.chosen))
+        yield from _drawn(turns, _FAR).faults
 
 
-def _new_folder(args: ChaosArgs) -> Path:
-    """The folder of this drill, with one for each run.
+def _new_folder(args: ChaosArgs) -> tuple[Path, bool]:
+    """The folder of this drill, with one for each run; and whether it was made here.
 
     Raises:
         UsageError: it cannot be written, or holds something.
@@ -209,12 +209,23 @@ def _new_folder(args: ChaosArgs) -> Path:
     now = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
     folder = Path(args.out or f"runs/chaos-{args.env.replace('/', '-').replace(':', '-')}-{now}")
     try:
-        if folder.exists() and any(folder.iterdir()):
+        is_ours = not folder.exists()
+        if not is_ours and any(folder.iterdir()):
             raise UsageError(f"--out {folder} holds something already; give a new folder")
-        for name in ("undisturbed", "disturbed"):
+        for name in _RUNS:
             (folder / name).mkdir(parents=True)
     except OSError as error:
         raise UsageError(
             f"--out {folder} cannot be written: {error.strerror}; give a folder of yours"
         ) from error
-    return folder
+    return folder, is_ours
+
+
+def _clear(folder: Path, is_ours: bool) -> None:
+    """Leave the folder as it was found: empty, or not there."""
+    for name in _RUNS:
+        shutil.rmtree(folder / name, ignore_errors=True)
+    with contextlib.suppress(OSError):
+        (folder / "plan.json").unlink(missing_ok=True)
+        if is_ours:
+            folder.rmdir()

@@ -71,7 +71,11 @@ class Drill:
         self._waiting = list(schedule.plan.faults) if isinstance(schedule, ByIteration) else []
 
     def run(self) -> Outcome:
-        """From the start of the learner to the end of the last process."""
+        """From the start of the learner to the end of the last process.
+
+        Raises:
+            UsageError: the learner refuses to begin the run.
+        """
         self._begun = time.monotonic()
         try:
             self._cast = cast = Cast(self._setup, self._folder, self._mark, self._seed)
@@ -98,6 +102,7 @@ class Drill:
 
         Raises:
             RunFailedError: it cannot be finished.
+            UsageError: it cannot be begun.
         """
         while not cast.is_over():
             now = time.monotonic()

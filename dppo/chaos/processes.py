@@ -103,6 +103,13 @@ class Child:
         """The end of its output."""
         return "\n".join(self.output.read_text(errors="replace").splitlines()[-lines:])
 
+    def complaint(self) -> str:
+        """The error that it ended with, in one line."""
+        said = self.output.read_text(errors="replace")
+        _, known, error = said.rpartition("error: ")
+        words = (error if known else said).split()
+        return " ".join(word for word in words if word.strip("╭╮╰╯│─"))
+
 
 def children_of(pid: int) -> list[Handle]:
     """Living child processes, oldest first."""

@@ -76,16 +76,17 @@ def run(args: FourRoomsArgs) -> int:
 
     Raises:
         UsageError: the folder cannot be written.
+        KeyboardInterrupt, Terminated: the user stopped it; the arms that finished are kept.
     """
     folder = _writable(Path(args.out))
     begun = time.monotonic()
-    outcomes, stopped = _learn(args)
+    outcomes, stop = _learn(args)
     seconds = {"learning": time.monotonic() - begun}
-    if not outcomes:
+    if stop is not None and not outcomes:
         print("stopped before an arm had finished all its trials; nothing was written")
-        return 0
-    results = _write(folder, args, outcomes, stopped=stopped, seconds=seconds)
-    if stopped:
+        raise stop
+    results = _write(folder, args, outcomes, stopped=stop is not None, seconds=seconds)
+    if stop is not None:
         print(f"stopped: {len(outcomes)} of {len(args.arms)} arms had finished and are kept")
     for arm in results["arms"]:
         print(
@@ -94,6 +95,8 @@ def run(args: FourRoomsArgs) -> int:
             f"{arm['frozen_steps_per_episode']:6.2f}   time-outs {arm['timeouts_fraction']:6.1%}"
         )
     print(f"{sum(results['seconds'].values()):.0f} s; see {folder / 'report.md'}")
+    if stop is not None:
+        raise stop
     return 0
 
 
@@ -115,8 +118,8 @@ def _writable(folder: Path) -> Path:
     return folder
 
 
-def _learn(args: FourRoomsArgs) -> tuple[list[ArmOutcome], bool]:
-    """The arms that finished, and whether the user stopped before the others."""
+def _learn(args: FourRoomsArgs) -> tuple[list[ArmOutcome], BaseException | None]:
+    """The arms that finished, and the user's signal if it came before the others did."""
     collector = Collector(args.arms, args.trials)
     trials = trials_of(args.arms, args.trials)
     events = learn_on_cores(
@@ -135,9 +138,9 @@ def _learn(args: FourRoomsArgs) -> tuple[list[ArmOutcome], bool]:
                     case Outcome():
                         for arm in collector.add(event):
                             console.say(f"{arm.key} has finished")
-    except (KeyboardInterrupt, Terminated):
-        return collector.finished(), True
-    return collector.finished(), False
+    except (KeyboardInterrupt, Terminated) as stop:
+        return collector.finished(), stop
+    return collector.finished(), None
 
 
 def _write(

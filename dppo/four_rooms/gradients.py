@@ -43,10 +43,3 @@ def _leftover(mdp: Mdp, policy: Floats, gamma: float, lambda_ret: float) -> Floa
     mu_bar = occupancy(mdp, policy, (gamma * lambda_ret) ** 2)
     factor: Floats = np.einsum("s,sa,sat,sat->t", mu_bar, policy, mdp.transition, delta)
     return 2 * gamma * factor
-
-
-def through_softmax(policy: Floats, factor: Floats, temperature: float = 1.0) -> Floats:
-    """[S, A] ∇_θ of Σ factor(s, a) π(a|s) for π = softmax(θ / temperature)."""
-    centred = factor - (policy * factor).sum(axis=1, keepdims=True)
-    gradient: Floats = policy * centred / temperature
-    return gradient

@@ -108,12 +108,13 @@ def _set_aside(path: Path) -> None:
     path.rename(aside)
 
 
-def load_checkpoint(path: Path) -> Checkpoint:
+def load_checkpoint(path: Path | str) -> Checkpoint:
     """Read and verify one checkpoint folder.
 
     Raises:
         CheckpointError: missing, torn, altered, or of another format; says which file and why.
     """
+    path = Path(path)
     try:
         manifest = json.loads((path / "manifest.json").read_bytes())
         raw = (path / "arrays.safetensors").read_bytes()

@@ -5,11 +5,33 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dppo.config import Config
 from dppo.errors import CheckpointError, UsageError
 from dppo.moments import Moments
 from dppo.normalizer import Statistics
+from dppo.sources import made_by
 from dppo.spaces import Spaces
 from dppo.store.checkpoint import Checkpoint, best_name, load_checkpoint, names
+
+
+def config_in(checkpoint: Checkpoint) -> Config:
+    """Settings of the run.
+
+    Raises:
+        UsageError: another version of dppo wrote one that this version does not have.
+    """
+    try:
+        return Config.from_dict(checkpoint.facts["config"])
+    except ValueError as error:
+        writer, ours = checkpoint.facts.get("made_by"), made_by()
+        raise UsageError(
+            f"the checkpoint was written by {_named(writer) if writer else 'another version'}, "
+            f"this is {_named(ours)}: {error}; install the version that wrote it"
+        ) from error
+
+
+def _named(maker: dict[str, str]) -> str:
+    return f"dppo {maker['dppo']} (code {maker['code']})"
 
 
 def spaces_in(checkpoint: Checkpoint) -> Spaces:
@@ -34,6 +56,11 @@ def mean_reward(episodes: NDArray[np.float64]) -> float:
     return float(episodes[:, 0].sum() / episodes[:, 1].sum()) if len(episodes) else 0.0
 
 
+def is_checkpoint(path: Path) -> bool:
+    """A folder that is one checkpoint, not a run's."""
+    return (path / "manifest.json").exists()
+
+
 def chosen(run: str, which: str) -> tuple[Path, Checkpoint]:
     """The checkpoint that was asked for, and where it lies.
 
@@ -42,10 +69,12 @@ def chosen(run: str, which: str) -> tuple[Path, Checkpoint]:
         which: best, newest, or a checkpoint's name.
 
     Raises:
-        UsageError: there is none; says what was looked for and what is there.
+        UsageError: there is none, or none that this version can read; says what was looked for
+            and what is there.
     """
     path = Path(run)
-    if not (path / "manifest.json").exists():
+    hint = "choose another one"
+    if not is_checkpoint(path):
         folder = path / "checkpoints"
         found = names(folder)
         if not found:
@@ -55,11 +84,18 @@ def chosen(run: str, which: str) -> tuple[Path, Checkpoint]:
         name = {"best": best_name(folder) or found[-1], "newest": found[-1]}.get(which, which)
         if name not in found:
             raise UsageError(f"--which is {which}, expected best, newest, or {', '.join(found)}")
-        path = folder / name
+        path, hint = folder / name, f"{hint} with --which"
     try:
-        return path, load_checkpoint(path)
+        checkpoint = load_checkpoint(path)
     except CheckpointError as error:
-        raise UsageError(f"{error}; choose another one with --which") from error
+        raise UsageError(f"{error}; {hint}") from error
+    config_in(checkpoint)
+    return path, checkpoint
+
+
+def was_exact(checkpoint: Checkpoint) -> bool:
+    """No slot had lost a bit on a move; so of those that earlier versions wrote."""
+    return bool(checkpoint.facts.get("exact", True))
 
 
 SNAPSHOT_FORM = 2

@@ -45,7 +45,9 @@ def test_arrays_and_facts_come_back(tmp_path):
         "slot/12": np.array([2**62]),
     }
     facts = {"a": [1, 2.5, None, True], "text": "ψ", "nested": {"x": {}}}
-    loaded = load_checkpoint(save_checkpoint(tmp_path, name_of(3), Checkpoint(arrays, facts)))
+    folder = save_checkpoint(tmp_path, name_of(3), Checkpoint(arrays, facts))
+    loaded = load_checkpoint(str(folder))
+    assert load_checkpoint(folder).facts == facts
     assert loaded.facts == facts
     assert set(loaded.arrays) == set(arrays)
     for name, array in arrays.items():

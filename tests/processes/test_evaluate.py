@@ -1,6 +1,7 @@
 """A trained policy outside the trainer: a plain loop and the command line agree."""
 
 import json
+import signal
 from functools import partial
 from pathlib import Path
 
@@ -8,8 +9,9 @@ import numpy as np
 import pytest
 
 from dppo.errors import RunFailedError
+from dppo.sources import made_by
 from dppo.store.checkpoint import load_checkpoint
-from tests.support import checkpoints
+from tests.support import catches, checkpoints, wait_until
 from workers.envs import Adapter, make_env
 from workers.evaluate import evaluate, plans_of, policy_of
 from workers.play import play
@@ -184,9 +186,20 @@ def test_dppo_eval_prints_mean_spread_tail_falls_and_intervals(harness, run_dir)
         assert summary["length_mean"] == np.mean([episode["length"] for episode in episodes])
         low, high = summary["return_mean_interval"]
         assert low < summary["return_mean"] < high
+        low, high = summary["falls_interval"]
+        assert low < 0.8  # all 12 have fallen, and yet one in five may not
+        assert high == 1
     again = harness.start("dppo", "eval", str(run_dir), *words[:4], "--rows", "16")
     assert again.wait() == 0
     assert again.text == process.text
+
+
+def test_dppo_eval_that_is_stopped_does_not_end_as_if_it_had_printed_something(harness, run_dir):
+    process = harness.start("dppo", "eval", str(run_dir), "--episodes", "1000000", "--json")
+    wait_until(lambda: catches(process.popen.pid, signal.SIGTERM), "it to take signals")
+    process.send(signal.SIGTERM)
+    assert process.wait() == 143
+    assert process.text == "stopped by SIGTERM; the result is not complete\n"
 
 
 def test_dppo_eval_prints_a_line_per_figure_for_people(harness, run_dir):
@@ -199,6 +212,24 @@ def test_dppo_eval_prints_a_line_per_figure_for_people(harness, run_dir):
     assert mean.startswith("  return_mean")
 
 
+def test_a_single_episode_has_no_spread_and_no_interval(harness, run_dir):
+    words = ("eval", str(run_dir), "--episodes", "1", "--fixed-start")
+    process = harness.start("dppo", *words)
+    assert process.wait() == 0, process.text
+    _, *lines = process.text.splitlines()
+    assert [line for line in lines if "episode" in line] == [
+        "1 episode, free starts",
+        "1 episode, the same start",
+    ]
+    assert not [line for line in lines if "_std" in line or "[" in line]
+    printed = harness.start("dppo", *words, "--json")
+    assert printed.wait() == 0, printed.text
+    summary = json.loads(printed.text)["summary"]["free"]
+    unknown = {name for name, value in summary.items() if value is None}
+    assert unknown == {name for name in summary if name.endswith(("_std", "_interval"))}
+    assert summary["return_mean"] == summary["return_min"] == summary["return_cvar10"]
+
+
 def test_dppo_checkpoint_shows_hashes_and_contents(harness, run_dir):
     process = harness.start("dppo", "checkpoint", str(run_dir))
     assert process.wait() == 0, process.text
@@ -206,6 +237,7 @@ def test_dppo_checkpoint_shows_hashes_and_contents(harness, run_dir):
     outcome = json.loads((run_dir / "result.json").read_text())
     assert printed["parameters_sha256"] == outcome["parameters_sha256"]
     assert printed["state"]["iteration"] == 3
+    assert printed["made_by"] == made_by()
     assert {"policy_sha256", "value_sha256", "variance_sha256"} <= printed.keys()
     assert "slot/7" in printed["arrays"]
 
@@ -215,6 +247,11 @@ def test_dppo_checkpoint_shows_hashes_and_contents(harness, run_dir):
     [
         (["eval", "/nowhere"], "/nowhere holds no checkpoint"),
         (["eval", "{run}", "--which", "latest"], "--which is latest, expected best, newest"),
+        (
+            ["eval", "{one}", "--which=newest"],
+            "--which chooses among a run's checkpoints, but {one} is one of them; leave --which",
+        ),
+        (["checkpoint", "--which", "best", "{one}"], "or give the run directory"),
         (["eval", "{run}", "--episodes", "0"], "--episodes is 0, expected >= 1"),
         (["eval", "{run}", "--max-steps", "-1"], "--max-steps is -1, expected >= 0"),
         (["eval", "{run}", "--rows", "0"], "--rows is 0, expected >= 1"),
@@ -223,7 +260,8 @@ def test_dppo_checkpoint_shows_hashes_and_contents(harness, run_dir):
     ],
 )
 def test_wrong_usage_is_one_sentence_and_code_2(harness, run_dir, words, sentence):
-    process = harness.start("dppo", *(word.format(run=run_dir) for word in words))
+    one = run_dir / "checkpoints" / checkpoints(run_dir)[-1]
+    process = harness.start("dppo", *(word.format(run=run_dir, one=one) for word in words))
     assert process.wait() == 2
-    assert sentence in " ".join(process.text.replace("│", " ").split())
+    assert sentence.format(one=one) in " ".join(process.text.replace("│", " ").split())
     assert "Traceback" not in process.text

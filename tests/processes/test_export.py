@@ -6,7 +6,7 @@ import os
 import numpy as np
 import pytest
 
-from dppo.sources import version
+from dppo.sources import made_by
 from dppo.store.checkpoint import sha256
 from dppo.store.contents import chosen
 from tests.support import printed
@@ -81,7 +81,7 @@ def test_onnx_acts_like_the_trainer_for_any_number_of_observations(harness, runs
     _, checkpoint = chosen(str(run_dir), "best")
     assert session.get_modelmeta().custom_metadata_map == {
         "env": kind[0],
-        "dppo_version": version(),
+        "dppo_version": made_by()["dppo"],
         "parameters_sha256": sha256(checkpoint.arrays["parameters"]),
     }
     inputs, actions = expected(run_dir)

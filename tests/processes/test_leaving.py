@@ -27,18 +27,21 @@ def work():
     return 0
 
 
-process.leave(work)
+process.leave(work, delivers=len(sys.argv) > 2)
 """
 
 
 @pytest.fixture
 def started():
-    """A command that tidies up until it reads a line; how long it may, before a signal ends it."""
+    """A command that tidies up until it reads a line.
+
+    How long it may, before a signal ends it; and a word if it is to deliver something.
+    """
     children = []
 
-    def start(seconds):
+    def start(seconds, *words):
         child = subprocess.Popen(
-            [sys.executable, "-c", COMMAND, str(seconds)],
+            [sys.executable, "-c", COMMAND, str(seconds), *words],
             cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             text=True, restore_signals=True,
             preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
@@ -71,3 +74,13 @@ def test_tidying_up_that_takes_too_long_is_cut_short_by_a_second_signal(started)
     assert child.stdout.readline() == "tidying up\n"
     child.send_signal(signal.SIGTERM)
     assert child.wait(10) == 128 + signal.SIGTERM
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_that_delivers_something_does_not_end_as_if_it_had(started, number):
+    child = started(60, "delivers")
+    child.send_signal(number)
+    assert child.stdout.readline() == "tidying up\n"
+    out, err = child.communicate("\n", timeout=10)
+    sentence = f"stopped by {number.name}; the result is not complete\n"
+    assert (out, err, child.returncode) == ("tidy\n", sentence, 128 + number)

@@ -77,10 +77,37 @@ def test_a_run_that_cannot_go_on_is_ended_with_what_did_not_come(tmp_path):
 
 
 def test_a_learner_that_fails_by_itself_is_not_started_again(tmp_path):
-    outcome = drilled(tmp_path / "drill", Plan(()), flags=(*FLAGS, "--drop", "8"))
-    assert "ended with exit code 2, unasked" in outcome.problem
-    assert "--drop is 8" in outcome.problem
+    flags = (*FLAGS, "--env", "tests.odd_envs:Raises-v0")
+    outcome = drilled(tmp_path / "drill", Plan(()), flags=flags)
+    assert "ended with exit code 1, unasked" in outcome.problem
+    assert "the arm fell off" in outcome.problem
     assert outcome.left_behind == []
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--env", "Nope-v1"], "error: the learner refuses the run: --env is 'Nope-v1', which"),
+        (["--", "--drop", "8"], "refuses the run: Value error Error parsing rollout: --drop is 8"),
+        (["--minutes", "1", "--env", "Nope-v1"], "the learner refuses the run: --env is 'Nope-v1"),
+    ],
+    ids=["environment", "flag", "soak"],
+)
+@pytest.mark.parametrize("there", [False, True])
+def test_what_the_learner_refuses_is_wrong_usage_and_leaves_nothing(
+    tmp_path, words, sentence, there
+):
+    out = tmp_path / "out"
+    if there:
+        out.mkdir()
+    done = subprocess.run(
+        chaos("--out", out, *words), cwd=ROOT, capture_output=True, text=True, check=False,
+        timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 2, done.stderr
+    assert sentence in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert list(tmp_path.rglob("*")) == ([out] if there else [])
 
 
 def test_a_run_with_an_end_of_its_own_is_over_there(tmp_path):
@@ -137,7 +164,7 @@ def test_whoever_ends_a_drill_leaves_nothing_running(tmp_path, number, times):
         drill.send_signal(number)
         with contextlib.suppress(subprocess.TimeoutExpired):
             drill.wait(0.001 if times > 1 else 30)
-    drill.wait(30)
+    assert drill.wait(30) == 128 + number
     try:
         wait_until(lambda: not any(map(is_alive, (learner, *workers))), "all to end", 10)
     finally:

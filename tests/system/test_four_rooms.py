@@ -84,7 +84,7 @@ def test_an_interrupt_keeps_the_arms_that_have_finished(harness):
     children = descendants(process.popen.pid)
     assert children
     process.send(signal.SIGINT)
-    assert process.wait(60) == 0, process.text
+    assert process.wait(60) == 130, process.text
     assert "stopped: 1 of 2 arms had finished and are kept" in process.text
     assert "Traceback" not in process.text
     wait_until(lambda: not any(map(is_alive, children)), "its processes to end")
@@ -98,8 +98,9 @@ def test_an_interrupt_keeps_the_arms_that_have_finished(harness):
 def test_an_interrupt_before_that_says_that_nothing_was_kept(harness, jobs):
     process, folder = experiment(harness, "--jobs", jobs)
     wait_until(lambda: "episodes" in process.text, "the first line of progress")
-    process.send(signal.SIGTERM if jobs == "1" else signal.SIGINT)
-    assert process.wait(60) == 0, process.text
+    number = signal.SIGTERM if jobs == "1" else signal.SIGINT
+    process.send(number)
+    assert process.wait(60) == 128 + number, process.text
     assert "nothing was written" in process.text
     assert "Traceback" not in process.text
     assert list(folder.iterdir()) == []

@@ -3,6 +3,7 @@
 import json
 import signal
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -132,7 +133,8 @@ def test_a_run_without_drops_that_was_paused_and_resumed_is_replayed(harness):
 
     again = harness.start("dppo", "replay", str(run_dir))
     assert again.wait() == 2
-    assert f"{run_dir / 'replay'} holds a run already; remove it" in again.text
+    sentence = f"{run_dir / 'replay'} holds a finished replay of {run_dir}; remove it to begin"
+    assert sentence in again.text
 
     config = run_dir / "config.json"
     config.write_text(config.read_text().replace('"obs_size": 4', '"obs_size": 5'))
@@ -161,6 +163,49 @@ def test_a_replay_that_is_interrupted_does_not_say_that_the_bits_are_the_same(ha
     process.send(signal.SIGTERM)
     assert process.wait() == 1, process.text
     assert "of 200 iterations: not compared to the end" in process.text
+    done = result(run_dir / "replay")["iterations"]
+    assert done < 200
+
+    again = harness.start("dppo", "replay", str(run_dir), "--local-workers", "2")
+    assert again.wait() == 0, again.text
+    assert f"resuming at iteration {done} of 200" in again.text
+    assert f"same bits as {run_dir}: 200 iterations" in again.text
+    assert iterations(run_dir / "replay") == 200
+
+
+@pytest.mark.slow
+def test_a_replay_goes_on_only_in_its_own_folder_and_with_the_original_it_began_with(harness):
+    run_dir, other = harness.folder / "run", harness.folder / "other"
+    steps = str(200 * SAMPLES)
+    for folder, stop in ((run_dir, 30), (other, 2)):
+        words = ("--total-timesteps", steps, "--stop-at", str(stop * SAMPLES))
+        harness.train(*TINY, *words, "--local-workers", "2", run_dir=folder)
+    replay = ("dppo", "replay", str(run_dir), "--local-workers", "1", "--out")
+    for foreign in (run_dir, other):
+        before = contents(foreign)
+        refused = harness.start(*replay, str(foreign))
+        assert refused.wait() == 2, refused.text
+        sentence = f"{foreign} holds a run that is no replay of {run_dir}; give another folder"
+        assert sentence in refused.text
+        assert contents(foreign) == before
+
+    out = str(harness.folder / "out")
+    whole = harness.start(*replay, out)
+    assert whole.wait() == 0, whole.text
+    assert f"same bits as {run_dir}: 30 iterations" in whole.text
+    lines = read_ledger(run_dir / "ledger.jsonl")
+    assert isinstance(lines[4], IterationLine)
+    lines[4] = replace(lines[4], parameters_sha256="0" * 64)
+    (run_dir / "ledger.jsonl").write_text("".join(to_json(line) + "\n" for line in lines))
+    altered = harness.start(*replay, out)
+    assert altered.wait() == 1, altered.text
+    assert f"iteration 4 is the first that differs from {run_dir}" in altered.text
+    assert "Traceback" not in altered.text
+
+
+def contents(folder):
+    """Names and bytes of all files."""
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 @pytest.mark.parametrize(

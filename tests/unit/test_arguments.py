@@ -4,10 +4,11 @@ import re
 
 import pytest
 
-from dppo.config import Config
+from dppo.config import Config, RolloutConfig
 from dppo.errors import UsageError
 from dppo.presets import paper
-from learner.__main__ import _ALIASES, _WHOLE_NUMBERS
+from dppo.process import parse
+from learner.__main__ import _ALIASES, _WHOLE_NUMBERS, LearnerArgs
 from learner.arguments import defaults, listening_address, normalised
 
 
@@ -137,3 +138,11 @@ def test_auto_is_a_free_port_of_loopback():
     address = listening_address("auto", insecure=False)
     assert re.fullmatch(r"tcp/127\.0\.0\.1:[1-9]\d+", address)
     assert listening_address(address, insecure=False) == address
+
+
+def test_a_value_that_an_older_parser_lets_through_is_wrong_usage_all_the_same(monkeypatch):
+    """tyro before 1.0.16 builds the arguments unguarded."""
+    seven = RolloutConfig(num_envs=1, num_steps=7)
+    monkeypatch.setattr("tyro.cli", lambda kind, **_: kind(rollout=seven))
+    with pytest.raises(UsageError, match="--num-minibatches is 2, expected a divisor"):
+        parse(LearnerArgs, [], "dppo-learner")

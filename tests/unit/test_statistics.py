@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dppo.statistics import cvar, intervals, tail_mean
+from dppo.statistics import cvar, intervals, share_interval, tail_mean
 
 
 def mean(values):
@@ -60,3 +60,18 @@ def test_rows_of_several_numbers_are_drawn_together():
 
     low, high = intervals(pairs, {"ratio": ratio}, np.random.default_rng(0))["ratio"]
     assert (low, high) == pytest.approx((2.0, 2.0), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("count", "trials", "expected"),
+    [  # Newcombe (1998), Statistics in Medicine 17: 857-872, Table I, method 3
+        (81, 263, (0.2553, 0.3662)),
+        (15, 148, (0.0624, 0.1605)),
+        (0, 20, (0.0000, 0.1611)),
+        (1, 29, (0.0061, 0.1718)),
+    ],
+)
+def test_the_interval_of_a_share_is_wilsons(count, trials, expected):
+    assert share_interval(count, trials) == pytest.approx(expected, abs=5e-5)
+    low, high = share_interval(trials - count, trials)
+    assert (1 - high, 1 - low) == pytest.approx(expected, abs=5e-5)
