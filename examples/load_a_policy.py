@@ -9,6 +9,8 @@ A checkpoint's folder in the run will do, too.
 
 import sys
 
+import numpy as np
+
 from dppo.errors import UsageError
 from dppo.store.contents import chosen, config_in
 from workers.envs import Adapter, make_env, quiet, spaces_of
@@ -25,6 +27,9 @@ def main(run: str) -> None:
     print(f"{path.name} of {run}: trained for {checkpoint.facts['env_steps']} steps")
 
     observation, _ = env.reset(seed=0)
+    outlook = policy.outlook(adapter.obs(observation)[None], np.zeros(1, np.int64))
+    spread = "" if outlook.std is None else f" ± {outlook.std[0]:.1f}"
+    print(f"expected: discounted return {outlook.value[0]:.1f}{spread}")
     score, steps, over = 0.0, 0, False
     while not over:
         # without a generator: the most likely action; with one: a sampled action

@@ -3,18 +3,31 @@
 Shape letters: n rows · O observation size · A action size · K numbers of noise per action.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from dppo.distributions import Distribution, distribution_of
 from dppo.errors import UsageError
-from dppo.networks import Networks
+from dppo.losses import softplus
+from dppo.networks import Network, Networks
 from dppo.spaces import Spaces
 from dppo.store.checkpoint import Checkpoint
 from dppo.store.contents import config_in, mean_reward, spaces_in, statistics_in
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Outlook:
+    """What the critics expect from a state on, if the policy goes on as in training."""
+
+    value: Float64  # [n]
+    """V: discounted return, with the run's γ [reward]."""
+    std: Float64 | None  # [n]
+    """√σ: standard deviation of the λ-return [reward]; None: the run has no variance critic."""
 
 
 class FrozenPolicy:
@@ -87,3 +100,30 @@ class FrozenPolicy:
         noise = None if rng is None else self.distribution.noise(rng, (1,))
         (action,) = self.actions(obs[None], np.array([step]), noise)
         return np.asarray(action)
+
+    def outlook(self, obs: Float64, steps: NDArray[np.integer]) -> Outlook:
+        """What the critics expect from raw observations [n, O] on, `steps` [n] after the start.
+
+        In raw reward, with sampled actions. How far √σ can be trusted is what `dppo eval
+        --calibration` tells. With --reward-variance, V is of the rewards with that penalty.
+
+        Raises:
+            ValueError: observations of another size.
+        """
+        seen = self.seen(obs, steps)[:, None]
+        scale = self.statistics.reward_scale(self.config)
+        value = self._critic("value", seen).astype(np.float64) / scale
+        if self.networks.variance is None:
+            return Outlook(value, None)
+        sigma = self._critic("variance", seen)
+        if self.config.safety.sigma_head == "softplus":
+            sigma = softplus(sigma)
+        scale, unit = (
+            of(self.config) for of in (self.statistics.sigma_scale, self.statistics.sigma_unit)
+        )
+        return Outlook(value, np.sqrt(np.maximum(0, sigma.astype(np.float64) * scale / unit)))
+
+    def _critic(self, name: Network, seen: Float32) -> Float32:
+        """[n] outputs; both critics have the value network's shape."""
+        output, _ = self.networks.value.forward(self.parameters[self.networks.parts[name]], seen)
+        return output[:, 0, 0]

@@ -14,6 +14,7 @@ from dppo.errors import UsageError
 from dppo.moments import Moments
 from dppo.networks import Network, Networks
 from dppo.store.checkpoint import Checkpoint
+from dppo.store.contents import chosen
 from tests.support import SMALL
 from workers.calibration import Calibrator
 from workers.envs import make_env, spaces_of
@@ -145,6 +146,37 @@ def test_with_the_full_return_the_empirical_deviation_is_that_of_the_discounted_
     fixed = [episode.discounted for episode in result.episodes if episode.plan.start == "fixed"]
     assert found.starts[0].empirical_std == pytest.approx(np.std(fixed, ddof=1), rel=1e-6)
     assert found.starts[0].discounted_std == pytest.approx(np.std(fixed, ddof=1), rel=1e-12)
+
+
+def test_the_outlook_of_a_state_is_v_and_the_root_of_sigma_in_raw_reward():
+    found = policy_of(checkpoint()).outlook(np.eye(STEPS), np.arange(STEPS))
+    assert found.value == pytest.approx(discounted(np.full(STEPS, MEAN), GAMMA), rel=1e-5)
+    assert found.std == pytest.approx(np.sqrt(exact_sigma(1.0)), rel=1e-5)
+    negative = policy_of(checkpoint(sigma_factor=-1.0)).outlook(np.eye(STEPS), np.arange(STEPS))
+    assert negative.std is not None
+    assert not negative.std.any()
+
+
+def test_the_outlook_of_a_trained_run_is_what_the_calibration_takes_as_predicted(runs):
+    """With σ's default head, and a run without σ."""
+    run = runs("InvertedPendulum-v5", "--seed", "4")
+    _, made = chosen(str(run), "newest")
+    policy, seen = policy_of(made), []
+    calibrator = Calibrator(policy)
+
+    def note(episode, trajectory):
+        calibrator.note(episode, trajectory)
+        seen.append(trajectory.obs[0])
+
+    evaluate(policy, episodes=2, deterministic=False, seed=0, places=1, watch=note)
+    (start,) = calibrator.result(0).starts
+    found = policy.outlook(np.array(seen[:1]), np.zeros(1, int))
+    assert found.std == pytest.approx(start.predicted_std, rel=1e-6)
+    bare = runs("InvertedPendulum-v5", "--psi", "0", "--no-variance-critic")
+    assert (
+        policy_of(chosen(str(bare), "newest")[1]).outlook(seen[0][None], np.zeros(1, int)).std
+        is None
+    )
 
 
 def test_a_sigma_that_is_four_times_too_large_shows_as_a_ratio_of_two():

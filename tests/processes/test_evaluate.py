@@ -1,6 +1,7 @@
 """A trained policy outside the trainer: a plain loop and the command line agree."""
 
 import json
+import runpy
 import signal
 from functools import partial
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from dppo.errors import RunFailedError
 from dppo.sources import made_by
 from dppo.store.checkpoint import load_checkpoint
-from tests.support import catches, checkpoints, wait_until
+from tests.support import ROOT, catches, checkpoints, wait_until
 from workers.envs import Adapter, make_env
 from workers.evaluate import evaluate, plans_of, policy_of
 from workers.play import play
@@ -24,6 +25,18 @@ def run_dir(runs):
 
 def newest(run_dir: Path):
     return load_checkpoint(run_dir / "checkpoints" / checkpoints(run_dir)[-1])
+
+
+def test_a_checkpoint_is_read_without_this_package_as_the_page_on_embedding_says(run_dir):
+    """JSON, safetensors and NumPy: the same actions up to the order of sums."""
+    checkpoint = newest(run_dir)
+    (folder,) = [run_dir / "checkpoints" / name for name in checkpoints(run_dir)[-1:]]
+    example = runpy.run_path(str(ROOT / "examples" / "read_a_checkpoint.py"))
+    theirs, ours = example["Policy"](folder), policy_of(checkpoint)
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        obs = rng.normal(theirs.mean, 30 * theirs.scale)  # some are clipped
+        assert theirs.act(obs) == pytest.approx(ours.act(obs, 0, None), rel=1e-4, abs=1e-6)
 
 
 def test_equal_arguments_give_equal_returns_and_other_seeds_others(run_dir):

@@ -57,6 +57,7 @@ def test_a_policy_is_loaded_from_the_run_directory_that_training_left(tmp_path: 
     text = printed(EXAMPLES / "load_a_policy.py", folder)
 
     assert re.search(r"^iteration-\d{8} of .*: trained for (1024|2048) steps$", text, re.MULTILINE)
+    assert re.search(r"^expected: discounted return -?[\d.]+ ± [\d.]+$", text, re.MULTILINE)
     played = re.search(r"one episode: (\d+) steps, return ([\d.]+)", text)
     assert played is not None
     (newest, *_) = sorted((folder / "checkpoints").glob("iteration-*"), reverse=True)
