@@ -87,7 +87,6 @@ def heess2017(env: str) -> Config:
             critic_epochs=50, critic_minibatches=1,
         ),
         kl=replace(base.kl, kl_scope="worker"),
-        network=replace(base.network, log_std_rate=1.0),
     )  # fmt: skip
 
 

@@ -281,7 +281,7 @@ class NetworkConfig:
     """Weights: orthogonal with a small last policy layer, or (paper) N(0, 1/fan_in)."""
     log_std_init: float = -1.0
     """Initial log of the Gaussian policy's std, per action dimension [nats]."""
-    log_std_rate: float = 3.0
+    log_std_rate: float = 1.0
     """Learning-rate factor of log std [1]; -1: (paper) half of (10 x last hidden size) // 48."""
 
     def __post_init__(self) -> None:
