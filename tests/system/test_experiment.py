@@ -81,7 +81,8 @@ def test_its_report_and_files_hold_what_was_run(unkilled):
     results = json.loads((unkilled / "results.json").read_text())
     assert results["status"] == "whole"
     assert results["runs"] == {
-        "planned": 4, "finished": 4, "without_episodes": [], "failed": {}, "missing": []
+        "planned": 4, "finished": 4, "without_episodes": [], "not_evaluated": [], "failed": {},
+        "missing": [],
     }  # fmt: skip
     arms = results["environments"][ENV]["arms"]
     assert list(arms) == ["psi0", "psi0.1"]
