@@ -263,7 +263,7 @@ def _mean(arm: Summary) -> str:
 
 def _std(arm: Summary) -> str:
     std = arm["training"]["last200"]["std_across_seeds"]
-    return "of one seed" if std is None else f"{std:.1f}"
+    return "of one (no spread)" if std is None else f"{std:.1f}"
 
 
 def _interval(row: Row) -> Any:  # noqa: ANN401  JSON
