@@ -162,6 +162,11 @@ def _flat(env: Env) -> Env:
     return gymnasium.wrappers.FlattenObservation(env)
 
 
+def name_of(env: Env | gymnasium.vector.VectorEnv[Any, Any, Any]) -> str:
+    """Its id, or its class where it was made without one."""
+    return env.spec.id if env.spec else type(env).__name__
+
+
 def spaces_of(env: Env) -> Spaces:
     """Sizes of an environment's spaces.
 
@@ -169,7 +174,7 @@ def spaces_of(env: Env) -> Spaces:
         UsageError: spaces that the trainer does not support, named.
     """
     observation, action = env.observation_space, env.action_space
-    name = env.spec.id if env.spec else type(env).__name__
+    name = name_of(env)
     if not _is_vector(observation):
         raise UsageError(
             f"{name} has observation space {observation}, which cannot be flattened into a "

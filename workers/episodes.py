@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dppo.config import Config
 from dppo.streams import reset_seed
-from workers.envs import Adapter, Vec, training_vec
+from workers.envs import Adapter, Vec, name_of, training_vec
 from workers.failures import EnvironmentFailedError, RowFailedError
 from workers.heart import beat
 from workers.snapshots import Arrays
@@ -159,7 +159,7 @@ class Episodes:
 
     def _failed(self, row: int, what: str) -> EnvironmentFailedError:
         slot, env = self._rows[row]
-        name = self.vec.spec.id if self.vec.spec else type(self.vec).__name__
+        name = name_of(self.vec)
         return EnvironmentFailedError(
             slot,
             f"slot {slot}, environment {env} ({name}) {what} at step {self.steps[row]} of "

@@ -10,6 +10,7 @@ import logging
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dppo.errors import RunFailedError, UsageError
-from dppo.sources import made_by
 from dppo.store.checkpoint import Checkpoint, sha256
 from dppo.store.contents import config_in
 from workers.envs import Adapter, make_env, spaces_of
@@ -64,7 +64,7 @@ class Exporter:
         self._inputs: Inputs = {"obs": obs} | ({"steps": steps} if self._module.has_clock else {})
         self._facts = {
             "env": policy.config.run.env,
-            "dppo_version": made_by()["dppo"],
+            "dppo_version": version("dppo"),
             "parameters_sha256": sha256(policy.parameters),
         }
         modes = policy.actions(obs, steps, None)

@@ -1,5 +1,7 @@
 """How an environment fails, from the row of a vector up to the slot."""
 
+from dppo.errors import RunFailedError
+
 
 class RowFailedError(Exception):
     """A row of a vector environment raised, or returned what does not fit."""
@@ -15,3 +17,8 @@ class EnvironmentFailedError(Exception):
     def __init__(self, slot: int, reason: str) -> None:
         super().__init__(reason)
         self.slot = slot
+
+
+def failed_episode(name: str, what: str, step: int, seed: int) -> RunFailedError:
+    """The sentence for an episode that nobody learns from: where it failed, and how to see it."""
+    return RunFailedError(f"{name} {what} at step {step} of an episode with reset seed {seed}")

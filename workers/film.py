@@ -15,10 +15,11 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from dppo.errors import RunFailedError, UsageError
+from dppo.errors import UsageError
 from dppo.store.checkpoint import Checkpoint
 from dppo.store.contents import config_in
-from workers.envs import Adapter, Env, make_env, spaces_of
+from workers.envs import Adapter, Env, make_env, name_of, spaces_of
+from workers.failures import failed_episode
 from workers.play import Plan
 from workers.policy import FrozenPolicy
 
@@ -99,16 +100,14 @@ class Stage:
     @contextlib.contextmanager
     def _blamed(self, step: int, seed: int) -> Iterator[None]:
         """What the environment raises, as our errors."""
-        name = self.env.spec.id if self.env.spec else type(self.env).__name__
+        name = name_of(self.env)
         try:
             yield
         except DependencyNotInstalled as error:
             raise UsageError(f"{name} cannot be shown here: {error}") from error
         except Exception as error:  # an environment may raise anything
-            raise RunFailedError(
-                f"{name} raised {type(error).__name__}: {error} at step {step} of an episode with "
-                f"reset seed {seed}"
-            ) from error
+            what = f"raised {type(error).__name__}: {error}"
+            raise failed_episode(name, what, step, seed) from error
 
     def picture(self) -> Picture:
         """What the environment looks like now.

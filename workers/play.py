@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from dppo.errors import RunFailedError
 from dppo.streams import reset_seed, stream
-from workers.envs import Adapter, training_vec
-from workers.failures import RowFailedError
+from workers.envs import Adapter, name_of, training_vec
+from workers.failures import RowFailedError, failed_episode
 from workers.policy import FrozenPolicy
 
 log = logging.getLogger("evaluation")
@@ -215,7 +215,7 @@ class _Stage:
             log.warning(
                 "an episode of %s has lasted %d steps; an environment without a time limit goes "
                 "on until the policy ends it. Ctrl-C stops this; --max-steps 1000 cuts episodes "
-                "after so many steps", self._name(), _LONG_STEPS,
+                "after so many steps", name_of(self.vec), _LONG_STEPS,
             )  # fmt: skip
 
     def _draw(self) -> NDArray[np.float32] | None:
@@ -247,10 +247,5 @@ class _Stage:
 
     def failure(self, row: int, what: str) -> RunFailedError:
         """The sentence for a row that failed."""
-        return RunFailedError(
-            f"{self._name()} {what} at step {self._steps[row]} of an episode with reset seed "
-            f"{self._plan(row).reset_seed}"
-        )
-
-    def _name(self) -> str:
-        return self.vec.spec.id if self.vec.spec else type(self.vec).__name__
+        seed = self._plan(row).reset_seed
+        return failed_episode(name_of(self.vec), what, int(self._steps[row]), seed)

@@ -1,6 +1,5 @@
 """The report's explanations of its tables."""
 
-from dppo.experiment.claims import claims as all_claims
 from dppo.experiment.compare import LAST
 from dppo.experiment.results import Results
 from dppo.experiment.significance import power_of_brown_forsythe
@@ -87,9 +86,9 @@ def _short_runs(results: Results) -> str:
     return f" Some runs have only {fewest} training episodes in all." if fewest < 200 else ""
 
 
-def claims(results: Results) -> str:
-    """How these runs differ from the paper's."""
-    other, judged = results["unlike_the_paper"], len(list(all_claims(results)))
+def claims(results: Results, judged: int) -> str:
+    """How these runs differ from the paper's, and what `judged` claims are worth."""
+    other = results["unlike_the_paper"]
     return (
         "Not the paper's experiment again, but its question: other versions of the environments, "
         "of MuJoCo and of the trainer. Settings that are not those of `--preset paper` on "

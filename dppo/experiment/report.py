@@ -81,8 +81,9 @@ def _blocks(results: Results, pictures: Sequence[tuple[str, str]]) -> Iterator[B
             "episodes. The paper prints only the best ψ; all that were run here are below."
         )
         yield Heading("The paper's claims")
-        yield claims_table(results)
-        yield Paragraph(how_to_read.claims(results))
+        table = claims_table(results)
+        yield table
+        yield Paragraph(how_to_read.claims(results, len(table.rows)))
     yield Heading("Every arm: training returns")
     yield all_arms(results)
     yield Paragraph(how_to_read.training(results))

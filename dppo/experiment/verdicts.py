@@ -17,12 +17,7 @@ def of_interval(interval: Any, seeds: int, *, zero: float = 0.0) -> str:  # noqa
         return ONE_SEED
     if interval is None:
         return "not judged: no interval"
-    low, high = interval
-    if low > zero:
-        return "higher"
-    if high < zero:
-        return "lower"
-    return f"no difference that {seeds} seeds can show"
+    return _side(interval, zero, f"no difference that {seeds} seeds can show")
 
 
 def of_mean(comparison: Summary) -> str:
@@ -51,10 +46,15 @@ def of_ratio(found: Any) -> str:  # noqa: ANN401  JSON
     """A ratio over environments; None: there is none."""
     if found is None or found["interval"] is None:
         return "not judged: no interval"
-    low, high = found["interval"]
-    if low > 1.0:
+    return _side(found["interval"], 1.0, "no difference that these environments show together")
+
+
+def _side(interval: Any, zero: float, neither: str) -> str:  # noqa: ANN401  JSON
+    """On which side of "no difference" an interval lies."""
+    low, high = interval
+    if low > zero:
         return "higher"
-    return "lower" if high < 1.0 else "no difference that these environments show together"
+    return "lower" if high < zero else neither
 
 
 def of_policies(comparison: Summary, start: str, kind: str) -> str:
