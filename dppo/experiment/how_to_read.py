@@ -5,6 +5,10 @@ from dppo.experiment.results import Results
 from dppo.experiment.significance import power_of_brown_forsythe
 from dppo.experiment.tables import arms_of
 
+IN_SHORT = (
+    "Each verdict is explained at its table below: mean and spread in training under *Every arm*, "
+    "the others under *Within a policy*, the last column under *Over all environments*."
+)
 POLICIES = (
     "Of the final policy of each seed, not the best, with sampled actions as in training; the"
     " same start states for all arms and seeds. *Std*: standard deviation over the episodes "

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from dppo.experiment import how_to_read
 from dppo.experiment.folder import Folder, Plan
+from dppo.experiment.in_short import in_short
 from dppo.experiment.measure import Cell, curve_of
 from dppo.experiment.page import (
     Block,
@@ -73,6 +74,10 @@ def _curves(cells: Sequence[Cell]) -> str:
 def _blocks(results: Results, pictures: Sequence[tuple[str, str]]) -> Iterator[Block]:
     yield Heading(results["title"], 1)
     yield from _what_ran(results)
+    if (table := in_short(results)) is not None:
+        yield Heading("In short")
+        yield table
+        yield Paragraph(how_to_read.IN_SHORT)
     if (table := beside_the_paper(results)) is not None:
         yield Heading("Table 2: the paper's numbers and ours")
         yield table
