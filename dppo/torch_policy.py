@@ -14,6 +14,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from dppo.action_spaces import kind_and_sizes
 from dppo.networks import Networks
 from dppo.store.checkpoint import Checkpoint
 from dppo.store.contents import config_in, spaces_in, statistics_in
@@ -67,8 +68,7 @@ class PolicyModule(nn.Module):
         """
         config = config_in(checkpoint)
         trained = spaces_in(checkpoint)
-        found = _kind_and_sizes(action_space)
-        if found != (trained.action_kind, trained.action_sizes):
+        if kind_and_sizes(action_space) != (trained.action_kind, trained.action_sizes):
             raise ValueError(
                 f"action_space is {action_space}, expected one of the kind {trained.action_kind} "
                 f"with sizes {trained.action_sizes}, as the policy was trained for"
@@ -198,15 +198,3 @@ class CategoricalPolicy(PolicyModule):
     def _mode(self, output: Tensor) -> Tensor:
         parts = [part.argmax(dim=1) for part in torch.split(output, self.sizes, dim=1)]
         return torch.stack(parts, dim=1) + self.first
-
-
-def _kind_and_sizes(space: spaces.Space[Any]) -> tuple[str, tuple[int, ...]]:
-    """As in `dppo.spaces.Spaces`; of a space that no policy acts in, its own kind."""
-    match space:
-        case spaces.Box():
-            return "box", (int(np.prod(space.shape)),)
-        case spaces.Discrete():
-            return "discrete", (int(space.n),)
-        case spaces.MultiDiscrete():
-            return "discrete", tuple(int(n) for n in space.nvec.ravel())
-    return type(space).__name__, ()

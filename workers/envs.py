@@ -17,6 +17,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from dppo.action_spaces import SUPPORTED, kind_and_sizes
 from dppo.config import RunConfig
 from dppo.errors import UsageError
 from dppo.spaces import Spaces
@@ -182,20 +183,11 @@ def spaces_of(env: Env) -> Spaces:
             "of these"
         )
     size = spaces.flatdim(observation)
-    match action:
-        case spaces.Box() if action.shape and np.issubdtype(action.dtype, np.floating):
-            return Spaces(
-                obs_size=size, action_kind="box", action_sizes=(int(np.prod(action.shape)),)
-            )
-        case spaces.Discrete():
-            return Spaces(obs_size=size, action_kind="discrete", action_sizes=(int(action.n),))
-        case spaces.MultiDiscrete():
-            sizes = tuple(int(n) for n in action.nvec.ravel())
-            return Spaces(obs_size=size, action_kind="discrete", action_sizes=sizes)
-    raise UsageError(
-        f"{name} has action space {action}; supported are Box of floats, Discrete and "
-        "MultiDiscrete"
-    )
+    found = kind_and_sizes(action)
+    if found is None:
+        raise UsageError(f"{name} has action space {action}; supported are {SUPPORTED}")
+    kind, sizes = found
+    return Spaces(obs_size=size, action_kind=kind, action_sizes=sizes)
 
 
 def _is_vector(space: spaces.Space[Any]) -> bool:
