@@ -4,6 +4,7 @@ Merging is Chan, Golub and LeVeque's pairwise update: the moments of a union fro
 its parts. Workers send moments, never averages of standard deviations. All in float64.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -67,3 +68,11 @@ class Moments:
         """The inverse of `to_vector`."""
         size = (len(vector) - 1) // 2
         return cls(float(vector[0]), vector[1 : 1 + size].copy(), vector[1 + size :].copy())
+
+
+def merged(vectors: Sequence[FloatArray]) -> Moments:
+    """Of all sets together, from their `to_vector`, merged in this order; one set at least."""
+    found = Moments.from_vector(vectors[0])
+    for vector in vectors[1:]:
+        found = found.merge(Moments.from_vector(vector))
+    return found

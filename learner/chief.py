@@ -22,7 +22,7 @@ from dppo.adam import adam, clipped
 from dppo.config import Config
 from dppo.gradients import Sums
 from dppo.losses import AdvantageStatistics
-from dppo.moments import Moments
+from dppo.moments import Moments, merged
 from dppo.networks import Networks
 from dppo.normalizer import Statistics
 from dppo.rounds import Round
@@ -67,7 +67,7 @@ class Chief:
         """One iteration: collect, M and B updates, adaptation. `state` is then the next one's."""
         before, psi = self.state, self._psi()
         collected = self._collect(psi)
-        advantages = _merged([answer.advantages for answer in collected])
+        advantages = merged([answer.advantages for answer in collected])
         training = Training(psi, before.beta, AdvantageStatistics(advantages).stds)
         if before.iteration > 0:  # the first one only fills the shared statistics
             self._improve(advantages, training)
@@ -196,7 +196,7 @@ class Chief:
                 beta = adapt_kl_coef(beta, kl / weight, config.kl, config.rollout.slots)
         if config.update.lr_schedule == "servo":
             servo = adapt_servo(servo, beta, training.kl, config.kl)
-        starts = _merged([answer.start_sigma for answer in collected])
+        starts = merged([answer.start_sigma for answer in collected])
         if starts.count > 0:
             psi = dual_psi(psi, float(starts.mean[0]), config.safety)
         self.state = replace(state, beta=beta, servo=servo, psi=psi)
@@ -218,14 +218,6 @@ class Chief:
             dropped_gradients=state.dropped_gradients + training.dropped,
             snapshots={answer.slot: answer.snapshot for answer in collected},
         )
-
-
-def _merged(vectors: list[NDArray[np.float64]]) -> Moments:
-    """Moments of all slots together, merged in slot order."""
-    merged = Moments.from_vector(vectors[0])
-    for vector in vectors[1:]:
-        merged = merged.merge(Moments.from_vector(vector))
-    return merged
 
 
 def _statistics(answer: Collected) -> Statistics:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 from dppo.config import Config
 from dppo.gradients import Sums
-from dppo.moments import Moments
+from dppo.moments import merged
 from dppo.networks import Network
 from dppo.statistics import cvar
 from dppo.wire.messages import Collected
@@ -70,9 +70,8 @@ def summarise(
     num_workers: int,
 ) -> IterationReport:
     """The report of the iteration between two states."""
-    fit = Moments.from_vector(collected[0].fit)
-    for answer in collected[1:]:
-        fit = fit.merge(Moments.from_vector(answer.fit))
+    fit = merged([answer.fit for answer in collected])
+    starts = merged([answer.start_sigma for answer in collected])
     spread = fit.m2 / max(fit.count, 1.0)
     metrics = {
         "train/kl": training.kl,
@@ -90,6 +89,8 @@ def summarise(
         "cluster/workers": float(num_workers),
         "cluster/dropped": float(training.dropped),
     }
+    if starts.count > 0:
+        metrics["safety/start_sigma"] = float(starts.mean[0])
     metrics |= {f"train/{name}_grad_norm": norm for name, norm in training.norms.items()}
     if len(after.episodes):
         returns, lengths = after.episodes.T

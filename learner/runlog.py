@@ -26,10 +26,10 @@ _COLUMNS = (
     "train/kl", "train/kl_coef", "train/policy_updates", "train/policy_loss", "train/value_loss",
     "train/variance_loss", "train/explained_variance", "train/reward_scale",
     "train/policy_grad_norm", "train/value_grad_norm", "train/variance_grad_norm",
-    "safety/psi", "safety/sigma_mean", "safety/return_std", "safety/cvar10", "safety/adv_v_std",
-    "safety/adv_sigma_std", "cluster/workers", "cluster/round_ms", "cluster/dropped",
-    "cluster/acceptance_min", "cluster/drop_return_correlation", "cluster/drop_length_correlation",
-    "cluster/unsaved_iterations",
+    "safety/psi", "safety/sigma_mean", "safety/start_sigma", "safety/return_std", "safety/cvar10",
+    "safety/adv_v_std", "safety/adv_sigma_std", "cluster/workers", "cluster/round_ms",
+    "cluster/dropped", "cluster/acceptance_min", "cluster/drop_return_correlation",
+    "cluster/drop_length_correlation", "cluster/unsaved_iterations",
 )  # fmt: skip
 """Of progress.csv; metrics.jsonl has the same."""
 _HEADER = ("iteration", "time/total_timesteps", *_COLUMNS)

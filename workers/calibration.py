@@ -10,7 +10,8 @@ the time limit cuts it. Both agree if V is right: only then are the δ of an epi
 - From each start state: √σ(s_0) against the standard deviation of G_0 over episodes that share
   s_0. V(s_0) is the same in all of them, so an error of V at s_0 itself does not enter.
 - Along the trajectories: σ(s_t) against (G_t − V(s_t))², which has the error of V at s_t in it.
-  Steps that are too near a time limit for the spread that σ counts to show are left out.
+  Steps that are too near a time limit for the spread that σ counts to show are left out, of all
+  episodes: of those that fall alone they would stay, and make the spread too large.
 """
 
 from collections.abc import Sequence
@@ -27,13 +28,12 @@ from dppo.statistics import spread as deviation
 from dppo.streams import stream
 from workers.play import Episode, Trajectory
 from workers.policy import FrozenPolicy
+from workers.spreads import Spread, far_from_limits
 
 Float64 = NDArray[np.float64]
 Interval = tuple[float, float]
 _BOOTSTRAP = 2
 """Second index of the stream that intervals are drawn from; see `workers.play.Plan.noise`."""
-_UNSEEN = 0.01
-"""Largest share γ̄^l of σ that may lie beyond a time limit l steps ahead."""
 _BINS = 10
 
 
@@ -91,18 +91,6 @@ class Calibration:
         return asdict(self)
 
 
-@dataclass(frozen=True, slots=True)
-class _Spread:
-    """One episode."""
-
-    sigma: Float64  # [T]  σ(s_t), reward²
-    error: Float64  # [T]  G_t − V(s_t), reward
-    squares: Float64  # [T]  Σ γ̄^l δ_{t+l}², reward²
-    discounted: float
-    shown: int
-    """Steps whose σ can show before the time limit."""
-
-
 class Calibrator:
     """Takes episodes from fixed starts, one at a time; gives the calibration."""
 
@@ -125,14 +113,14 @@ class Calibrator:
         exact = replace(returns, gae_lambda=trace, lambda_ret=trace, targets="monte-carlo")
         self._policy = policy
         self._config = replace(policy.config, returns=exact, safety=safety)
-        self._found: dict[tuple[int, int], _Spread] = {}
+        self._found: dict[tuple[int, int], Spread] = {}
 
     def note(self, episode: Episode, trajectory: Trajectory) -> None:
         """One more episode, from a fixed start."""
         key = episode.plan.place, episode.plan.number
         self._found[key] = self._spread(episode, trajectory)
 
-    def _spread(self, episode: Episode, trajectory: Trajectory) -> _Spread:
+    def _spread(self, episode: Episode, trajectory: Trajectory) -> Spread:
         """σ and G − V at every step of an episode, in raw reward."""
         policy, config, steps = self._policy, self._config, len(trajectory.reward)
         seen = policy.seen(trajectory.obs, np.arange(steps + 1))
@@ -157,22 +145,20 @@ class Calibrator:
             config,
         ).of(0)
         scale, unit = statistics.reward_scale(config), statistics.sigma_unit(config)
-        shown = steps
-        if not over:
-            shown -= _steps_beyond(config.returns.variance_discount)
-        return _Spread(
+        return Spread(
             sigma=found.sigma[:, 0] / unit,
             error=found.value.advantage[:, 0] / scale,
             squares=found.variance.target[:, 0] / unit,
             discounted=episode.discounted,
-            shown=max(0, shown),
+            is_cut=not over,
         )
 
     def result(self, seed: int) -> Calibration:
         """Of what was noted: the same number of episodes from each place, two at least."""
         places = sorted({place for place, _ in self._found})
+        within = far_from_limits(self._found, self._config.returns.variance_discount)
         spreads = [
-            [spread for (of, _), spread in sorted(self._found.items()) if of == place]
+            [spread for (of, _), spread in sorted(within.items()) if of == place]
             for place in places
         ]
         rng = stream(seed, "evaluation", 0, 0, _BOOTSTRAP)
@@ -201,14 +187,7 @@ class Calibrator:
         )
 
 
-def _steps_beyond(discount: float) -> int:
-    """L such that γ̄^l is small."""
-    if discount in (0.0, 1.0):
-        return int(discount) * np.iinfo(np.int64).max
-    return int(np.ceil(np.log(_UNSEEN) / np.log(discount)))
-
-
-def _from_start(place: int, found: Sequence[_Spread], rng: np.random.Generator) -> FromStart:
+def _from_start(place: int, found: Sequence[Spread], rng: np.random.Generator) -> FromStart:
     """One start state."""
     sigma = max(0.0, float(found[0].sigma[0]))
     errors = np.array([[spread.error[0]] for spread in found])  # [N, 1]
@@ -250,7 +229,7 @@ def _finite_bounds(bounds: Interval) -> Interval | None:
     return bounds if np.isfinite(bounds).all() else None
 
 
-def _along(found: Sequence[_Spread], *, squares: bool = False) -> Float64:
+def _along(found: Sequence[Spread], *, squares: bool = False) -> Float64:
     """[N, 2] sums over the steps of each episode: of σ(s_t), and of (G_t − V(s_t))².
 
     With `squares`, of Σ γ̄^l δ² in place of the latter.
@@ -274,7 +253,7 @@ def _ratio_along(sample: Float64) -> Float64:
     return _root_ratio(np.maximum(sigma, 0), squares)
 
 
-def _bins(found: Sequence[_Spread]) -> tuple[Bin, ...]:
+def _bins(found: Sequence[Spread]) -> tuple[Bin, ...]:
     """Tenths of all steps, from small σ to large."""
     sigma = np.concatenate([s.sigma[: s.shown] for s in found])
     squares = np.square(np.concatenate([s.error[: s.shown] for s in found]))

@@ -31,8 +31,8 @@ class Coins(gymnasium.Env):
     observation_space = spaces.Box(0, 1, (STEPS,), np.float64)
     action_space = spaces.Discrete(2)
 
-    def __init__(self, endless=False):
-        self.endless, self.at = endless, 0
+    def __init__(self, endless=False, falls=False):
+        self.endless, self.falls, self.at = endless, falls, 0
 
     def reset(self, *, seed=None, options=None):  # noqa: ARG002
         super().reset(seed=seed)
@@ -43,7 +43,8 @@ class Coins(gymnasium.Env):
         reward = MEAN + COIN[self.at] * (1 if self.np_random.random() < 0.5 else -1)
         self.at += 1
         over = self.at == STEPS
-        return self._obs(), reward, over and not self.endless, over and self.endless, {}
+        falls = over and (self.np_random.random() < 0.5 if self.falls else not self.endless)
+        return self._obs(), reward, falls, over and not falls, {}
 
     def _obs(self):
         obs = np.zeros(STEPS)
@@ -203,6 +204,12 @@ def test_steps_near_a_time_limit_are_left_out_along_the_trajectories():
     assert (found.along_ratio, found.along_ratio_interval, found.bins) == (None, None, ())
     assert found.along_squares_ratio is None
     assert found.ratio > 0
+
+
+def test_steps_near_a_time_limit_are_left_out_of_episodes_that_fall_there_too():
+    """γ̄ = 0.2: steps within 3 of the limit, 4, go; those of falls alone would overstate spread."""
+    _, found = calibrated(checkpoint(lambda_ret=0.5, falls=True), episodes=20)
+    assert sum(one.steps for one in found.bins) == 2 * 20  # the first step of each
 
 
 @pytest.mark.parametrize("episodes", [2, 3])

@@ -8,6 +8,7 @@ import pytest
 
 from dppo.config import Config, RolloutConfig
 from dppo.gradients import Sums
+from dppo.moments import Moments
 from dppo.networks import Networks
 from learner.report import Training, summarise
 from learner.state import State
@@ -18,18 +19,20 @@ TENS = np.full((17, 2), 10.0)
 """Episodes of earlier iterations: returns of 10 in 10 steps."""
 
 
-def collected(slot, targets, residuals, sigmas, episodes=()):
+def collected(slot, targets, residuals, sigmas, episodes=(), start_sigma=()):
     """What a slot says when it has seen these."""
+    starts = Moments.of(np.array(start_sigma, np.float64)).to_vector()
     columns = np.array([targets, residuals, sigmas], np.float64)
     mean = columns.mean(axis=1)
     m2 = ((columns.T - mean) ** 2).sum(axis=0)
     fit = np.concatenate([[len(targets)], mean, m2])
-    return replace(COLLECTED, slot=slot, fit=fit, episodes=np.array(episodes, np.float64))
+    ended = np.array(episodes, np.float64)
+    return replace(COLLECTED, slot=slot, fit=fit, start_sigma=starts, episodes=ended)
 
 
 THREE = [
-    collected(0, [0, 2], [0, 1], [1, 3], [1, 5]),
-    collected(1, [4], [1], [5]),
+    collected(0, [0, 2], [0, 1], [1, 3], [1, 5], start_sigma=[1, 4]),
+    collected(1, [4], [1], [5], start_sigma=[10]),
     collected(2, [2], [0], [3], [3, 7, 6, 9]),
 ]
 
@@ -53,6 +56,7 @@ def test_the_columns_to_watch_are_those_of_all_slots_together():
     assert metrics["safety/cvar10"] == (1 + 3) / 2
     assert metrics["charts/episodic_return"] == 6
     assert metrics["safety/sigma_mean"] == (1 + 3 + 5 + 3) / 4
+    assert metrics["safety/start_sigma"] == (1 + 4 + 10) / 3  # of the episodes that began
     # squared deviations: of the targets 0, 2, 4, 2 from 2; of what is left, 0, 1, 1, 0, from 0.5
     assert metrics["train/explained_variance"] == pytest.approx(1 - 1 / 8)
     assert (metrics["safety/adv_v_std"], metrics["safety/adv_sigma_std"]) == (1.0, 2.0)
