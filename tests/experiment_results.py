@@ -47,10 +47,11 @@ def results_of(verdicts, status="whole"):
                                      "std_of_all_episodes": 2.0}},
             "evaluation": {"free": {"undiscounted": {"std_by_seed": [1.0, 4.0]},
                                     "length_mean": 10.0, "falls": 0.5}},
+            "steps": 3_000_320,
             "on_the_way": {"1000000": {"mean": 1.0}, "2000000": {"mean": 2.0}},
         }  # fmt: skip
-        plain = arm | {"psi": 0.0, "settings": {"psi": 0.0}}
-        safe = arm | {"psi": psis[env], "settings": {"psi": psis[env]}}
+        plain = arm | {"psi": 0.0, "settings": {"psi": 0.0}, "is_plain": True}
+        safe = arm | {"psi": psis[env], "settings": {"psi": psis[env]}, "is_plain": False}
         safe |= {"against_baseline": compared(**of)}
         environments[env] = {"arms": {"psi0": plain, "psi-paper": safe}}
     return {

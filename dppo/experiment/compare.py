@@ -44,6 +44,7 @@ def summary(cell: Cell) -> dict[str, Any]:
     return {
         "psi": cell.psi,
         "label": cell.label,
+        "is_plain": cell.runs[0].is_plain,
         "settings": dict(cell.runs[0].settings),
         "steps": cell.runs[0].real_steps,
         "seeds_planned": [run.seed for run in cell.runs],

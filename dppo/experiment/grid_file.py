@@ -2,7 +2,6 @@
 
 import tomllib
 from collections.abc import Iterator, Mapping
-from math import isinf
 from pathlib import Path
 from typing import Any
 
@@ -122,5 +121,4 @@ def _seeds(value: object) -> list[int]:
 
 def _plain_arm(runs: list[Run]) -> str:
     """The first arm without a penalty, or the first."""
-    plain = (run.arm for run in runs if run.psi == 0 and isinf(run.config.safety.variance_limit))
-    return next(plain, runs[0].arm)
+    return next((run.arm for run in runs if run.is_plain), runs[0].arm)

@@ -59,6 +59,12 @@ class Run:
         return self.config.safety.psi
 
     @property
+    def is_plain(self) -> bool:
+        """No penalty of any kind."""
+        safety = self.config.safety
+        return self.psi == 0 and math.isinf(safety.variance_limit) and safety.reward_variance == 0
+
+    @property
     def real_steps(self) -> int:
         """Whole iterations [env steps]."""
         return self.config.iterations * self.config.rollout.samples

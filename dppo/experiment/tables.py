@@ -3,7 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from dppo.experiment.claims import claims, rows
+from dppo.experiment.claim_rows import rows
+from dppo.experiment.claims import claims
 from dppo.experiment.numbers import NOTHING, ends, p_value, pair, times
 from dppo.experiment.page import Table
 from dppo.experiment.results import Results

@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from dppo.experiment.claims import rows
+from dppo.experiment.claim_rows import rows
 from dppo.experiment.verdicts import of_goal, of_interval, of_policies, of_spread
 from tests.experiment_folders import evaluated, leave, planned, report_of
 
@@ -106,7 +106,7 @@ def test_a_claim_whose_numbers_one_arm_lacks_is_left_out(tmp_path):
 def test_the_papers_row_is_of_the_arm_that_differs_in_psi_alone():
     arm: dict[str, Any] = {"psi": 0.075, "against_baseline": {"last200": {}}}
     arms = {
-        "plain": {"psi": 0.0, "settings": {"psi": 0.0}},
+        "plain": {"psi": 0.0, "settings": {"psi": 0.0}, "is_plain": True},
         "joint": arm | {"settings": {"psi": 0.075, "adv_norm": "joint"}},
         "safe": arm | {"settings": {"psi": 0.075}, "label": "safe"},
     }
