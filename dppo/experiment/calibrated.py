@@ -9,6 +9,7 @@ from dppo.experiment.measure import Cell
 
 GOAL = 1.25
 """Predicted over empirical standard deviation, or its inverse, at most."""
+WITHIN, OUTSIDE, OPEN = "within", "outside", "open"
 _RATIOS = {
     "along_ratio": "along",
     "along_squares_ratio": "along_squares",
@@ -34,11 +35,35 @@ def calibration(cell: Cell) -> dict[str, Any] | None:
                 "geometric_mean": float(np.exp(np.mean(logs))),
                 "by_seed": ratios,
             }
+            bounds = [one[f"{name}_interval"] for one in found if one.get(f"{name}_interval")]
+            if bounds:
+                summary[short]["intervals"] = bounds
+                summary[short]["verdicts"] = [_verdict(*ends) for ends in bounds]
+    worst = [ratio for one in found if (ratio := _worst(one.get("bins"))) is not None]
+    if worst:
+        summary["worst_tenth"] = {"by_seed": worst}
     for name in _OF_STARTS:
         stds = [std for one in found if (std := _of_starts(one.get("starts"), name)) is not None]
         if stds:
             summary[name] = {"mean": float(np.mean(stds)), "by_seed": stds}
     return summary
+
+
+def _verdict(low: float, high: float) -> str:
+    """Whether a 95 % interval of a ratio lies within the goal."""
+    if 1 / GOAL <= low and high <= GOAL:
+        return WITHIN
+    return OUTSIDE if low > GOAL or high < 1 / GOAL else OPEN
+
+
+def _worst(bins: object) -> float | None:
+    """Predicted over empirical of the tenth of all steps where it is farthest from 1."""
+    ratios = [
+        one["predicted_std"] / one["empirical_std"]
+        for one in (bins if isinstance(bins, Sequence) else ())
+        if one["empirical_std"] > 0 and one["predicted_std"] > 0
+    ]
+    return max(ratios, key=lambda ratio: abs(np.log(ratio)), default=None)
 
 
 def _of_starts(starts: object, name: str) -> float | None:

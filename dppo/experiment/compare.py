@@ -53,6 +53,7 @@ def summary(cell: Cell) -> dict[str, Any]:
         if cell.finished
         else {},
         "on_the_way": on_the_way(cell),
+        "moved": moved(cell),
         "evaluation": {
             start: found for start in STARTS if (found := evaluation(cell, start)) is not None
         },
@@ -92,6 +93,16 @@ def on_the_way(cell: Cell) -> dict[str, Any]:
             found[str(steps)] = {
                 "mean": float(scores.mean()), "std_across_seeds": std, "by_seed": _list(scores)
             }  # fmt: skip
+    return found
+
+
+def moved(cell: Cell) -> dict[str, Any]:
+    """Where ψ moves, what it came to, and σ(s_0), the mean over start states, with it."""
+    found = {}
+    for name in ("psi", "start_sigma"):
+        values = [one.moved[name] for one in cell.finished if name in one.moved]
+        if values:
+            found[name] = {"mean": float(np.mean(values)), "by_seed": values}
     return found
 
 

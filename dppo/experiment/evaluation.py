@@ -16,13 +16,15 @@ from dppo.config import Config
 
 _ALWAYS = {"return": float, "length": int}
 _SETTINGS = ("env", "checkpoint", "env_steps", "actions", "gamma", "seed")
+_MOST_STEPS = 100_000
+"""An episode that nothing ends is cut: an environment need not have a time limit."""
 _PERHAPS = ("discounted_return", "terminated")
 
 
 def evaluation_words(run_dir: Path, config: Config, episodes: int) -> list[str]:
     """The command for a run: its last policy, actions sampled as in training."""
     words = ["eval", str(run_dir), "--which", "newest", "--episodes", str(episodes), "--json"]
-    words.append("--fixed-start")
+    words += ["--fixed-start", "--max-steps", str(_MOST_STEPS)]
     returns = config.returns
     is_variance = (returns.gamma_bar, returns.delta_reward) == ("paper", "scaled")
     if config.safety.variance_critic and is_variance and episodes > 1:

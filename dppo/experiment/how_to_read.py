@@ -2,7 +2,7 @@
 
 from dppo.experiment.compare import LAST
 from dppo.experiment.results import Results
-from dppo.experiment.significance import power_of_brown_forsythe
+from dppo.experiment.significance import LEAST_FOR_SPREAD, power_of_brown_forsythe
 from dppo.experiment.tables import arms_of
 
 IN_SHORT = (
@@ -28,9 +28,10 @@ SIGMA = (
     "of what was played. *Along the way*: over the states of the evaluation episodes from the"
     " fixed start, but for those near the time limit, against returns minus V, so errors of V"
     " count; *from TD errors*, against the mean discounted sum of squared TD errors, which σ "
-    "is trained on. *At the start*: in that one state, over its episodes; where nearly "
-    "nothing is random yet, σ's error there is large against so small a spread. Its *from TD "
-    "errors* differs from the empirical one as far as V is wrong. Ratios: geometric means "
+    "is trained on; *worst tenth*: along the way, of the tenths of all steps by their σ, the one "
+    "whose ratio is farthest from 1. *At the start*: in that one state, over its episodes; where "
+    "nearly nothing is random yet, σ's error there is large against so small a spread. Its *from "
+    "TD errors* differs from the empirical one as far as V is wrong. Ratios: geometric means "
     "over seeds."
 )
 TOGETHER = (
@@ -73,7 +74,10 @@ def training(results: Results) -> str:
 
 def _power(results: Results) -> str:
     """How little the test of spreads can find with so few seeds."""
-    seeds = max((len(arm["seeds"]) for _, _, arm in arms_of(results)), default=0)
+    arms = (len(arm["seeds"]) for _, _, arm in arms_of(results))
+    seeds = min((count for count in arms if count > 1), default=0)
+    if 0 < seeds < LEAST_FOR_SPREAD:
+        return f" With {seeds} seeds an arm it can find none."
     powers = [power_of_brown_forsythe(seeds, times) for times in (0.5, 0.25)]
     if None in powers:
         return ""
@@ -100,7 +104,8 @@ def claims(results: Results, judged: int) -> str:
         "its ± was taken; the mean of each seed's last 200 episodes, and the standard deviation "
         "of those means, is what its words say. Each claim is judged on its own, at 5 %: of "
         f"{judged} that say nothing true, up to {0.05 * judged:.2g} would be judged one way or "
-        "the other, and reports of a growing grid, looked at again and again, err more often."
+        "the other, and reports of a growing grid, looked at again and again, err more often. The "
+        "paper's batches are whole episodes; here slots have a fixed number of steps."
     )
 
 

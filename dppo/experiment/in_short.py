@@ -37,31 +37,61 @@ def _measures(compared: Comparisons) -> Iterator[tuple[str, dict[str, str], str]
     yield "mean return in training", {env: of_mean(one) for env, one in compared.items()}, ""
     spreads = {env: of_spread(one) for env, one in compared.items()}
     yield "its spread across seeds", spreads, "across"
-    policies = {
-        env: one["free"]
-        for env, one in compared.items()
-        if "undiscounted" in one.get("free", {}) and min(one["free"]["seeds"]) > 1
-    }
-    if policies:
-        yield from _of_policies(policies)
-
-
-def _of_policies(policies: Comparisons) -> Iterator[tuple[str, dict[str, str], str]]:
-    seeds = {env: min(one["seeds"]) for env, one in policies.items()}
-    returns = {env: one["undiscounted"] for env, one in policies.items()}
-    means = {env: of_interval(one["mean"]["interval"], seeds[env]) for env, one in returns.items()}
-    yield "mean return of final policies", means, "within_mean"
-    within = {env: of_spread_within(one, seeds[env]) for env, one in returns.items()}
-    yield "spread within a final policy", within, "within"
-    goals = {env: of_goal({"free": one}, "free", "undiscounted") for env, one in policies.items()}
-    yield "30 % less of that for 5 % of the mean", goals, ""
+    yield from _of_policies(compared, "undiscounted", "")
+    yield from _of_policies(compared, "discounted", "_discounted")
     falls = {
-        env: of_interval(one["terminated"]["interval"], seeds[env])
-        for env, one in policies.items()
-        if "interval" in one.get("terminated", {})
+        env: of_interval(free["terminated"]["interval"], min(free["seeds"]))
+        for env, one in compared.items()
+        if "interval" in (free := one.get("free", {})).get("terminated", {})
     }
     if falls:
-        yield "falls", falls, ""
+        yield "falls of final policies", falls, ""
+
+
+def _of_policies(
+    compared: Comparisons, kind: str, suffix: str
+) -> Iterator[tuple[str, dict[str, str], str]]:
+    """Returns of final policies from free starts."""
+    policies = {env: one for env, one in compared.items() if is_judged(one, kind)}
+    if not policies:
+        return
+    free = {env: (one["free"][kind], min(one["free"]["seeds"])) for env, one in policies.items()}
+    means = {
+        env: of_interval(one["mean"]["interval"], seeds) for env, (one, seeds) in free.items()
+    }
+    yield f"mean {kind} return of final policies", means, f"within{suffix}_mean"
+    within = {env: of_spread_within(*one) for env, one in free.items()}
+    yield "spread of that within a policy", within, f"within{suffix}"
+    goals = {env: of_goal(one, "free", kind) for env, one in policies.items()}
+    yield "30 % less of that for 5 % of the mean", goals, ""
+
+
+def goal_sentence(results: Results) -> str:
+    """On how many environments some arm reaches the goal of a safe policy; empty: no judgement."""
+    parts = [part for kind in ("undiscounted", "discounted") if (part := _reached(results, kind))]
+    if not parts:
+        return ""
+    return f"30 % less spread within a policy for at most 5 % of the mean: {'; '.join(parts)}."
+
+
+def _reached(results: Results, kind: str) -> str:
+    verdicts: dict[str, list[str]] = {}
+    for env, _, arm in arms_of(results):
+        if (found := arm.get("against_baseline")) and is_judged(found, kind):
+            verdicts.setdefault(env, []).append(of_goal(found, "free", kind))
+    if not verdicts:
+        return ""
+    envs = [env for env, found in verdicts.items() if "yes" in found]
+    arms = max(map(len, verdicts.values()))
+    names = f" ({', '.join(envs)})" if envs else ""
+    best = f", by the best of {arms} arms" if arms > 1 else ""
+    return f"of {kind} returns on {len(envs)} of {len(verdicts)} environments{names}{best}"
+
+
+def is_judged(comparison: Mapping[str, Any], kind: str) -> bool:
+    """There are policies of two seeds on either side."""
+    free = comparison.get("free", {})
+    return kind in free and min(free["seeds"]) > 1
 
 
 def _grouped(verdicts: Mapping[str, str]) -> str:

@@ -21,6 +21,7 @@ from dppo.experiment.best import best_of
 from dppo.experiment.compare import LAST
 from dppo.experiment.folder import Folder, Plan
 from dppo.experiment.measure import cells, curve_rows, json_lines
+from dppo.experiment.plan import Run
 from dppo.experiment.report import write_report
 from dppo.store.checkpoint import names
 
@@ -42,7 +43,7 @@ def keep(folder: Folder, plan: Plan, out: Path) -> Path:
             raise UsageError(f"--out {out} is not empty; expected a new folder, or an empty one")
         _copy(folder.path, out, _OF_THE_GRID)
         for run in filter(folder.is_trained, plan.grid.runs):
-            _keep_run(folder.run(run), kept.run(run))
+            _keep_run(run, folder.run(run), kept.run(run))
             if run.name in best or not folder.is_evaluated(run, plan.grid.evaluate):
                 _keep_policy(folder.run(run) / "checkpoints", kept.run(run) / "checkpoints")
         return write_report(kept, plan)
@@ -50,11 +51,11 @@ def keep(folder: Folder, plan: Plan, out: Path) -> Path:
         raise UsageError(f"--out {out} cannot be written: {error}") from error
 
 
-def _keep_run(run: Path, kept: Path) -> None:
+def _keep_run(run: Run, path: Path, kept: Path) -> None:
     kept.mkdir(parents=True)
-    _copy(run, kept, _OF_A_RUN)
-    _write(kept / "metrics.jsonl", curve_rows(run))
-    _write(kept / "episodes.jsonl", _last_episodes(run / "episodes.jsonl"))
+    _copy(path, kept, _OF_A_RUN)
+    _write(kept / "metrics.jsonl", curve_rows(path, run))
+    _write(kept / "episodes.jsonl", _last_episodes(path / "episodes.jsonl"))
 
 
 def _last_episodes(file: Path) -> Iterator[dict[str, Any]]:

@@ -18,6 +18,8 @@ POINTS = 200
 """Of a learning curve."""
 _CURVE = ("time/total_timesteps", "rollout/ep_rew_mean")
 """What it consists of, in metrics.jsonl."""
+_MOVED = ("safety/psi", "safety/start_sigma")
+"""What is of interest besides, where ψ moves."""
 STARTS = ("free", "fixed")
 """Kinds of evaluation episodes."""
 
@@ -32,6 +34,8 @@ class Finished:
     counted."""
     curve: tuple[Floats, Floats]
     """Environment steps, and mean return of the last 100 training episodes there."""
+    moved: dict[str, float]
+    """Where ψ moves: its last value, and the mean of σ(s_0) over the last tenth of the run."""
     evaluation: dict[str, Any]
     """evaluation.json; empty: there is none."""
     result: dict[str, Any]
@@ -67,8 +71,8 @@ class Cell:
     @property
     def label(self) -> str:
         """For tables and figures; ψ is part of it if it says more."""
-        psi = f"ψ {self.psi:g}"
-        return psi if self.arm in (*_PLAIN_ARMS, f"psi{self.psi:g}") else f"{self.arm} ({psi})"
+        weight, alone = self.runs[0].weight, (*_PLAIN_ARMS, f"psi{self.psi:g}")
+        return weight if self.arm in alone else f"{self.arm} ({weight})"
 
     def scores(self, count: int) -> Floats:
         """[n] mean return of the last training episodes of each seed."""
@@ -117,7 +121,7 @@ def _all_finished(folder: Folder, runs: list[Run]) -> Iterator[Finished]:
 
 def _finished(folder: Folder, run: Run) -> Finished:
     path = folder.run(run)
-    rows = curve_rows(path)
+    rows = curve_rows(path, run)
     episodes = [row["returns"] for row in json_lines(path / "episodes.jsonl")]
     return Finished(
         run=run,
@@ -126,19 +130,31 @@ def _finished(folder: Folder, run: Run) -> Finished:
             np.array([row["time/total_timesteps"] for row in rows], np.float64),
             np.array([row["rollout/ep_rew_mean"] for row in rows], np.float64),
         ),
+        moved=_moved(rows) if run.moves_psi else {},
         evaluation=folder.evaluation(run),
         result=folder.result(run),
         facts=folder.facts(run),
     )
 
 
-def curve_rows(run: Path) -> list[dict[str, Any]]:
-    """What the learning curve of a run directory consists of."""
+def curve_rows(path: Path, run: Run) -> list[dict[str, Any]]:
+    """What the learning curve of a run directory consists of, with ψ where it moves."""
+    also = _MOVED if run.moves_psi else ()
     return [
-        {name: row[name] for name in _CURVE}
-        for row in json_lines(run / "metrics.jsonl")
+        {name: row[name] for name in (*_CURVE, *also) if name in row}
+        for row in json_lines(path / "metrics.jsonl")
         if all(name in row for name in _CURVE)
     ]
+
+
+def _moved(rows: list[dict[str, Any]]) -> dict[str, float]:
+    found = {}
+    for name, share in zip(_MOVED, (0.0, 0.1), strict=True):
+        values = [row[name] for row in rows if name in row]
+        last = values[-max(1, round(share * len(values))) :]
+        if last:
+            found[name.rpartition("/")[2]] = float(np.mean(last))
+    return found
 
 
 def json_lines(file: Path) -> Iterator[dict[str, Any]]:

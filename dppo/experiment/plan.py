@@ -65,6 +65,23 @@ class Run:
         return self.psi == 0 and math.isinf(safety.variance_limit) and safety.reward_variance == 0
 
     @property
+    def moves_psi(self) -> bool:
+        """ψ is on a schedule, or follows a limit."""
+        safety = self.config.safety
+        return safety.psi_schedule != "constant" or not math.isinf(safety.variance_limit)
+
+    @property
+    def weight(self) -> str:
+        """ψ as reports name it: of a limit the limit, of a schedule its end."""
+        safety = self.config.safety
+        text = f"ψ {self.psi:g}"
+        if not math.isinf(safety.variance_limit):
+            text = f"σ(s_0) ≤ {safety.variance_limit:g}"
+        elif safety.psi_schedule != "constant":
+            text = f"ψ 0 to {self.psi:g}, {safety.psi_schedule}"
+        return text + (f", κ {safety.reward_variance:g}" if safety.reward_variance else "")
+
+    @property
     def real_steps(self) -> int:
         """Whole iterations [env steps]."""
         return self.config.iterations * self.config.rollout.samples

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-from dppo.experiment.calibrated import GOAL
+from dppo.experiment.calibrated import GOAL, OPEN, OUTSIDE, WITHIN
 from dppo.experiment.numbers import NOTHING, ends, times, with_ends
 from dppo.experiment.page import Table
 from dppo.experiment.results import Results
@@ -53,6 +53,11 @@ def _of_policy(arm: Results, start: str, kind: str, *, is_base: bool) -> Iterato
     yield "30 % less spread for 5 % of the mean", goal
 
 
+_PLACES = {
+    "along": "along the way", "along_squares": "against TD errors", "start": "at the start"
+}  # fmt: skip
+
+
 def calibrations(results: Results) -> Table | None:
     """Predicted over empirical standard deviation of the λ-return; None: nothing."""
     lines = [
@@ -63,6 +68,7 @@ def calibrations(results: Results) -> Table | None:
             f"{one['seeds']}",
             _ratio(one.get("along")),
             _ratio(one.get("along_squares")),
+            _range(one.get("worst_tenth")),
             _ratio(one.get("start")),
             *[
                 f"{one[name]['mean']:.3g}" if name in one else NOTHING
@@ -74,7 +80,7 @@ def calibrations(results: Results) -> Table | None:
     ]
     head = (
         "environment", "arm", "λ_ret", "seeds", "along the way: predicted / empirical",
-        "predicted / from TD errors", "at the start: predicted / empirical",
+        "predicted / from TD errors", "worst tenth", "at the start: predicted / empirical",
         "predicted at the start", "from its TD errors", "empirical",
     )  # fmt: skip
     return Table(head, lines) if lines else None
@@ -93,31 +99,38 @@ def best_seeds(results: Results) -> Table | None:
 
 
 def calibration_sentence(results: Results) -> str:
-    """Of how many policies σ is right within a quarter, along the way and at the start."""
+    """Of how many policies σ is right within a quarter: by estimates, and by intervals."""
     found = [one for _, _, arm in arms_of(results) if (one := arm["calibration"])]
     parts = []
-    for name, words in (("along", "along the way"), ("start", "at the start")):
-        arms = [one[name] for one in found if name in one]
-        seeds = [ratio for one in arms for ratio in one["by_seed"]]
-        if arms:
-            parts.append(
-                f"{words} of {_within(seeds)} policies (geometric mean over seeds: of "
-                f"{_within([one['geometric_mean'] for one in arms])} arms)"
-            )
+    for name, words in _PLACES.items():
+        ratios = [ratio for one in found for ratio in one.get(name, {}).get("by_seed", [])]
+        if ratios:
+            within = sum(1 / GOAL <= ratio <= GOAL for ratio in ratios)
+            parts.append(f"{words} of {within} of {len(ratios)} policies")
+            verdicts = [v for one in found for v in one.get(name, {}).get("verdicts", [])]
+            if verdicts:
+                counts = ", ".join(
+                    f"{verdict} for {verdicts.count(verdict)}"
+                    for verdict in (WITHIN, OUTSIDE, OPEN)
+                )
+                parts[-1] += f" (by its 95 % interval {counts})"
     return f"Within 25 %: {'; '.join(parts)}."
-
-
-def _within(ratios: list[float]) -> str:
-    return f"{sum(1 / GOAL <= ratio <= GOAL for ratio in ratios)} of {len(ratios)}"
 
 
 def _ratio(one: Any) -> str:  # noqa: ANN401  JSON
     """Geometric mean, and from which to which seed."""
     if one is None:
         return NOTHING
-    low, high = min(one["by_seed"]), max(one["by_seed"])
-    seeds = f" (seeds: {low:.2f} to {high:.2f})" if len(one["by_seed"]) > 1 else ""
+    seeds = f" (seeds: {_range(one)})" if len(one["by_seed"]) > 1 else ""
     return f"{one['geometric_mean']:.2f}{seeds}"
+
+
+def _range(one: Any) -> str:  # noqa: ANN401  JSON
+    """From which to which seed."""
+    if one is None:
+        return NOTHING
+    low, high = min(one["by_seed"]), max(one["by_seed"])
+    return f"{low:.2f}" + (f" to {high:.2f}" if len(one["by_seed"]) > 1 else "")
 
 
 def _return(one: Results, start: str) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from dppo.experiment import how_to_read
 from dppo.experiment.folder import Folder, Plan
-from dppo.experiment.in_short import in_short
+from dppo.experiment.in_short import goal_sentence, in_short
 from dppo.experiment.measure import Cell, curve_of
 from dppo.experiment.page import (
     Block,
@@ -36,6 +36,7 @@ from dppo.experiment.tables import (
     beside_the_paper,
     claims_table,
     every_seed,
+    moved_psi,
     on_the_way,
     over_environments,
 )
@@ -65,7 +66,8 @@ def _curves(cells: Sequence[Cell]) -> str:
         if curve is None:
             continue
         for steps, mean, std in zip(*(curve[name] for name in curve), strict=True):
-            row = [cell.env, cell.arm, f"{cell.psi:g}", len(cell.finished)]
+            psi = "" if cell.runs[0].moves_psi else f"{cell.psi:g}"
+            row = [cell.env, cell.arm, psi, len(cell.finished)]
             spread = "" if math.isnan(std) else f"{std:.6g}"
             table.writerow([*row, f"{steps:.0f}", f"{mean:.6g}", spread])
     return text.getvalue()
@@ -77,7 +79,7 @@ def _blocks(results: Results, pictures: Sequence[tuple[str, str]]) -> Iterator[B
     if (table := in_short(results)) is not None:
         yield Heading("In short")
         yield table
-        yield Paragraph(how_to_read.IN_SHORT)
+        yield Paragraph(f"{goal_sentence(results)} {how_to_read.IN_SHORT}".strip())
     if (table := beside_the_paper(results)) is not None:
         yield Heading("Table 2: the paper's numbers and ours")
         yield table
@@ -92,6 +94,9 @@ def _blocks(results: Results, pictures: Sequence[tuple[str, str]]) -> Iterator[B
     yield Heading("Every arm: training returns")
     yield all_arms(results)
     yield Paragraph(how_to_read.training(results))
+    if (table := moved_psi(results)) is not None:
+        yield Heading("Where ψ moves")
+        yield table
     if (table := every_seed(results)) is not None:
         yield Heading("Every seed: mean return of the last 100 training episodes")
         yield table
@@ -117,7 +122,7 @@ def _what_ran(results: Results) -> Iterator[Block]:
         f"{runs['finished']} of {runs['planned']} runs have finished: "
         f"{_count(results['environments'], 'environment')}, {_numbers(seeds)} "
         f"{'seed' if seeds == [1] else 'seeds'} an arm, "
-        f"{_numbers(steps)} environment steps a run. Every number is in `results.json`; the "
+        f"{_numbers(steps)} environment steps a run. The numbers are in `results.json`; the "
         "curves are in `curves.csv`."
     )
     if results["status"] == "partial":
@@ -125,8 +130,9 @@ def _what_ran(results: Results) -> Iterator[Block]:
         more = f" and {len(missing) - _MANY} more" if len(missing) > _MANY else ""
         names = ", ".join(missing[:_MANY])
         yield Paragraph(
-            "**This is a partial grid.** What follows is of the finished runs alone, and arms may "
-            "have different seeds." + (f" Missing: {names}{more}." if missing else "")
+            "**This is a partial grid: all judgements are interim.** What follows is of the "
+            "finished runs alone, and arms may have different seeds."
+            + (f" Missing: {names}{more}." if missing else "")
         )
     if runs["not_evaluated"]:
         names = ", ".join(runs["not_evaluated"])
@@ -135,7 +141,7 @@ def _what_ran(results: Results) -> Iterator[Block]:
         names = ", ".join(runs["without_episodes"])
         yield Paragraph(f"Left out, since no training episode has finished: {names}.")
     if runs["failed"]:
-        yield Paragraph("**Failed runs:**")
+        yield Paragraph("**Failed runs**, so that arms may have different seeds:")
         yield Bullets([f"{name}: {reason}" for name, reason in runs["failed"].items()])
     inexact = [arm["label"] for arm in arms if arm["seeds"] and not arm["exact"]]
     if inexact:

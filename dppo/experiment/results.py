@@ -1,7 +1,7 @@
 """`results.json`: every number of an experiment, and what it was run with."""
 
 import platform
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -11,6 +11,7 @@ from dppo.experiment.compare import comparison, summary
 from dppo.experiment.folder import Folder, Plan
 from dppo.experiment.measure import Cell, cells
 from dppo.experiment.paper import reported
+from dppo.experiment.plan import Grid
 from dppo.experiment.significance import has_tests
 from dppo.experiment.statistics import (
     LEVEL,
@@ -46,7 +47,7 @@ def describe(folder: Folder, plan: Plan) -> tuple[Results, list[Cell]]:
     environments = _environments(found, grid.baseline)
     results: Results = {
         "title": grid.title,
-        "status": "partial" if unevaluated or len(trained) < len(grid.runs) else "whole",
+        "status": _status(grid, {*trained} - {*unevaluated}, failures),
         "runs": {
             "planned": len(grid.runs),
             "finished": len(trained),
@@ -79,6 +80,14 @@ def describe(folder: Folder, plan: Plan) -> tuple[Results, list[Cell]]:
         "versions": _versions(found),
     }
     return results, found
+
+
+def _status(grid: Grid, done: Collection[str], failed: Collection[str]) -> str:
+    """Whole; over, but for runs that have failed; or partial: something is still to come."""
+    if len(done) == len(grid.runs):
+        return "whole"
+    over = all(run.name in done or run.name in failed for run in grid.runs)
+    return "over, with failures" if over else "partial"
 
 
 def _is_open(folder: Folder, plan: Plan, name: str) -> bool:

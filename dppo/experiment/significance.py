@@ -15,7 +15,7 @@ from dppo.experiment.statistics import LEVEL, Floats, Interval, generator
 from dppo.statistics import spread
 
 SIGNIFICANT = 1 - LEVEL
-_LEAST_FOR_SPREAD = 4
+LEAST_FOR_SPREAD = 4
 """With three seeds an arm the Brown-Forsythe test can never reject."""
 _SIMULATED = 4000
 
@@ -102,7 +102,7 @@ def ratio_over(ratios: Floats) -> Ratio:
 
 def brown_forsythe(scores: Floats, others: Floats) -> float | None:
     """P of equal spreads: an analysis of variance of distances to the medians; None as above."""
-    if min(len(scores), len(others)) < _LEAST_FOR_SPREAD or not has_tests():
+    if min(len(scores), len(others)) < LEAST_FOR_SPREAD or not has_tests():
         return None
     distances = [np.abs(one - np.median(one)) for one in (scores, others)]
     if all(one.max() == one.min() for one in distances):
@@ -126,7 +126,7 @@ def spread_ratio_interval(scores: Floats, others: Floats) -> Interval | None:
 
 def power_of_brown_forsythe(seeds: int, times: float) -> float | None:
     """How often the test finds that a spread is so many times another's: of normal scores."""
-    if seeds < _LEAST_FOR_SPREAD or not has_tests():
+    if seeds < LEAST_FOR_SPREAD or not has_tests():
         return None
     from scipy.stats import f
 

@@ -109,6 +109,27 @@ def on_the_way(results: Results) -> Table | None:
     return Table(head, lines) if marks else None
 
 
+def moved_psi(results: Results) -> Table | None:
+    """What ψ came to where it moves; None: it does so nowhere."""
+    lines = [
+        (env, arm["label"], f"{len(one['psi']['by_seed'])}", _over_seeds(one["psi"]),
+         _over_seeds(one.get("start_sigma")))
+        for env, _, arm in arms_of(results)
+        if "psi" in (one := arm["moved"])
+    ]  # fmt: skip
+    head = ("environment", "arm", "seeds", "ψ at the end", "σ(s_0), last tenth of the run")
+    return Table(head, lines) if lines else None
+
+
+def _over_seeds(one: Any) -> str:  # noqa: ANN401  JSON
+    """Mean, and from which to which seed."""
+    if one is None:
+        return NOTHING
+    low, high = min(one["by_seed"]), max(one["by_seed"])
+    seeds = f" (seeds: {low:.3g} to {high:.3g})" if len(one["by_seed"]) > 1 else ""
+    return f"{one['mean']:.3g}{seeds}"
+
+
 def over_environments(results: Results) -> Table | None:
     """All environments at once, of each arm; None: there is nothing."""
     lines = []

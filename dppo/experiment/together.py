@@ -18,6 +18,8 @@ _MEASURES = {
     "across": ("last200", None, "std_ratio"),
     "within": ("free", "undiscounted", "std_ratio"),
     "within_mean": ("free", "undiscounted", "mean_ratio"),
+    "within_discounted": ("free", "discounted", "std_ratio"),
+    "within_discounted_mean": ("free", "discounted", "mean_ratio"),
 }
 """Spread across seeds; spread within a policy and the mean there: where a comparison has them."""
 

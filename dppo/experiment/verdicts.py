@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from dppo.experiment.significance import SIGNIFICANT
+from dppo.experiment.significance import LEAST_FOR_SPREAD, SIGNIFICANT, has_tests
 
 GOAL_SPREAD, GOAL_MEAN = 0.7, 0.95
 """What a safe policy's user would want: times the baseline's spread at most, mean at least."""
@@ -33,13 +33,20 @@ def of_spread(comparison: Summary) -> str:
     if seeds < 2:
         return ONE_SEED
     if p is None:
-        return "not judged: fewer than 4 seeds, nothing spreads, or no SciPy"
+        return f"not judged: {_why_no_test(found)}"
     if p >= SIGNIFICANT:
         return f"no difference that {seeds} seeds can show"
     (ours, theirs), (near, far) = found["stds"], found["distances"]
     if (ours < theirs) != (near < far):
         return "not judged: standard deviations and distances to the medians disagree"
     return "lower" if ours < theirs else "higher"
+
+
+def _why_no_test(found: Summary) -> str:
+    """Of spreads across seeds."""
+    if min(found["seeds"]) < LEAST_FOR_SPREAD:
+        return f"fewer than {LEAST_FOR_SPREAD} seeds"
+    return "seeds differ from their median all by the same" if has_tests() else "no SciPy"
 
 
 def of_ratio(found: Any) -> str:  # noqa: ANN401  JSON

@@ -87,7 +87,8 @@ def test_the_best_seed_is_that_of_the_last_hundred_episodes(tmp_path):
     finished = tuple(
         Finished(
             run=replace(grid.runs[0], seed=seed), returns=np.array(values),
-            curve=(np.zeros(0), np.zeros(0)), evaluation={}, result={}, facts={},
+            curve=(np.zeros(0), np.zeros(0)), moved={}, evaluation={}, result={},
+            facts={},
         )
         for seed, values in returns.items()
     )  # fmt: skip

@@ -253,6 +253,7 @@ def test_sigma_is_calibrated_where_it_is_a_variance(settings, episodes, calibrat
     words = evaluation_words(tmp_path, config, episodes)
     assert ("--calibration" in words) == calibrates
     assert words[words.index("--episodes") + 1] == str(episodes)
+    assert words[words.index("--max-steps") + 1] == "100000"  # an episode need not end by itself
     assert "--fixed-start" in words
 
 

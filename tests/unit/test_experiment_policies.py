@@ -50,12 +50,12 @@ def test_the_calibration_is_a_geometric_mean_over_seeds(whole):
     assert found["predicted_std"]["mean"] == pytest.approx(17**0.5)  # (3² + 5²) / 2
     assert found["empirical_std"]["mean"] == pytest.approx(12.5**0.5)
     # 1000 and 5600 of 4000 are not within 25 %, nor 1600; 3200 and 4100 are; 70.. of 4000 never
-    assert "along the way of 15 of 15 policies (geometric mean over seeds: of 3 of 3 arms)" in page
-    assert "at the start of 2 of 15 policies (geometric mean over seeds: of 0 of 3 arms)" in page
-    ratios = (
-        "| 1.25 (seeds: 1.25 to 1.25) | 1.10 (seeds: 1.10 to 1.10) | 0.65 (seeds: 0.25 to 1.40)"
+    assert (
+        "Within 25 %: along the way of 15 of 15 policies; against TD errors of 15 of 15 policies; "
+        "at the start of 2 of 15 policies." in page
     )
-    assert ratios in page
+    assert "| 1.25 (seeds: 1.25 to 1.25) | 1.10 (seeds: 1.10 to 1.10) | – |" in page
+    assert "| 0.65 (seeds: 0.25 to 1.40) |" in page
 
 
 def test_a_sigma_of_nothing_is_not_left_out_of_its_mean(tmp_path):
@@ -66,7 +66,25 @@ def test_a_sigma_of_nothing_is_not_left_out_of_its_mean(tmp_path):
         leave(folder, run, 1000.0, **facts)
     _, page = report_of(folder)
     assert "| 0.00 (seeds: 0.00 to 1.00) |" in page
-    assert "at the start of 3 of 6 policies (geometric mean over seeds: of 0 of 3 arms)" in page
+    assert "at the start of 3 of 6 policies" in page
+
+
+def test_sigma_is_judged_by_intervals_too_and_its_worst_tenth_is_shown(tmp_path):
+    folder, grid = planned(tmp_path, seeds=3)
+    for run in grid.runs:
+        facts = evaluated(10.0 + run.seed, 1000.0)
+        ends = {1: (0.81, 1.24), 2: (1.26, 1.5), 3: (0.7, 1.1)}[run.seed]
+        tenths = [(3.0, 3.0), (2.0, 1.0), (1.0, 3.0 + run.seed), (1.0, 0.0)]
+        bins = [{"predicted_std": std, "empirical_std": found} for std, found in tenths]
+        facts["calibration"] |= {"along_ratio_interval": list(ends), "bins": bins}
+        leave(folder, run, 1000.0, **facts)
+    results, page = report_of(folder)
+    found = results["environments"]["HalfCheetah-v4"]["arms"]["psi0"]["calibration"]
+    assert found["along"]["verdicts"] == ["within", "outside", "open"]
+    assert found["worst_tenth"]["by_seed"] == [1 / 4, 1 / 5, 1 / 6]
+    counts = "(by its 95 % interval within for 3, outside for 3, open for 3)"
+    assert f"along the way of 9 of 9 policies {counts}; against TD errors of" in page
+    assert "| 0.17 to 0.25 |" in page
 
 
 def test_an_evaluation_of_fewer_episodes_is_made_again(tmp_path):

@@ -89,6 +89,19 @@ def test_a_partial_grid_says_so_and_a_seed_alone_shows_nothing(tmp_path):
     assert "Does σ know" not in page
 
 
+def test_a_grid_of_which_only_failed_runs_are_missing_is_over(tmp_path):
+    folder, grid = planned(tmp_path, seeds=3)
+    for run in grid.runs[1:]:
+        leave(folder, run, 1000.0, **evaluated(10.0 + run.seed, 1000.0))
+    assert report_of(folder)[0]["status"] == "partial"
+    folder.note_failures({grid.runs[0].name: "its disk burnt"}, [grid.runs[0]])
+    results, page = report_of(folder)
+    assert results["status"] == "over, with failures"
+    assert "interim" not in page.lower()
+    assert "its disk burnt" in page
+    assert "With 2 seeds an arm it can find none." in page  # the fewest of any arm
+
+
 def test_nothing_finished_is_a_report_as_well(tmp_path):
     folder, _ = planned(tmp_path)
     _, page = report_of(folder)

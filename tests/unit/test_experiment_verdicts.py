@@ -63,16 +63,14 @@ def test_one_seed_decides_nothing_about_policies():
         ([400.0, 100.0], 0.01, "higher"),
         ([400.0, 0.0], 0.03, "higher"),  # a baseline without any spread has no ratio
         ([100.0, 400.0], 0.06, "no difference that 5 seeds can show"),
-        (
-            [100.0, 400.0],
-            None,
-            "not judged: fewer than 4 seeds, nothing spreads, or no SciPy",
-        ),
+        ([0.0, 0.0], None, "not judged: seeds differ from their median all by the same"),
     ],
 )
 def test_a_spread_is_lower_or_higher_as_the_standard_deviations_are(stds, p, sentence):
     found = {"seeds": [5, 5], "brown_forsythe_p": p, "stds": stds, "distances": stds}
     assert of_spread({"last200": found}) == sentence
+    few = of_spread({"last200": found | {"seeds": [5, 3], "brown_forsythe_p": None}})
+    assert few == "not judged: fewer than 4 seeds"
 
 
 def test_a_spread_is_not_judged_where_what_was_tested_lies_the_other_way():
