@@ -1,7 +1,8 @@
 """Gymnasium's MuJoCo environments, n at a time in one process, bit by bit the same.
 
-Physics runs one environment after the other; observations, rewards and ends of all of them are
-computed at once (`workers.kinds`). A reset is Gymnasium's own code, on the row's MjData.
+Physics runs one environment after the other (`workers.simulations`); observations, rewards and
+ends of all of them are computed at once (`workers.kinds`). A reset is Gymnasium's own code, on an
+MjData of its own.
 
 Shape letters: n environments · O observation size · A action size.
 """
@@ -18,11 +19,11 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from workers.kinds.kind import Float64, Judgement, Kind
-from workers.physics import tuned, without_timer
+from workers.physics import tuned
+from workers.simulations import simulations, state_of
 from workers.snapshots import Arrays, generator_from, generator_state
 
 Flags = NDArray[np.bool_]
-_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
 class MujocoVec(VectorEnv[Any, Any, Any]):
@@ -47,17 +48,16 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
         self._mode = autoreset_mode
         self._limit = getattr(template.spec, "max_episode_steps", None) or np.inf
         self._model = self._env.model = tuned(self._env.fullpath, self._env.model)
-        self._data = [mujoco.MjData(self._model) for _ in range(num_envs)]
+        self._env.data = mujoco.MjData(self._model)  # resets are made in it
+        self._fields = kind.fields()
+        self._simulations = simulations(
+            self._model, num_envs, self._env.frame_skip, self._fields, kind.forces
+        )
         self._rngs: list[np.random.Generator | None] = [None] * num_envs
         self._elapsed = np.zeros(num_envs, np.int64)
         self._begun = np.zeros(num_envs, np.bool_)
         self._ended = np.zeros(num_envs, np.bool_)
-        self._ctrl = [data.ctrl for data in self._data]
-        self._views = {
-            name: [view(data).reshape(-1) for data in self._data]
-            for name, view in kind.fields().items()
-        }
-        shapes = {name: view(self._data[0]).shape for name, view in kind.fields().items()}
+        shapes = {name: field.of(self._env.data).shape for name, field in self._fields.items()}
         self._now = {name: np.zeros((num_envs, *shape)) for name, shape in shapes.items()}
         self._before = {name: array.copy() for name, array in self._now.items()}
 
@@ -122,10 +122,8 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
         """Everything that the future of each row depends on, besides its actions."""
         snapshots = []
         for row in range(self.num_envs) if rows is None else rows:
-            state = np.empty(mujoco.mj_stateSize(self._model, _STATE))
-            mujoco.mj_getState(self._model, self._data[row], state, _STATE)
             arrays: Arrays = {
-                "mujoco": state,
+                "mujoco": self._simulations.state(row),
                 "counts": np.array(
                     [self._elapsed[row], self._begun[row], self._ended[row]], np.int64
                 ),
@@ -140,9 +138,7 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
         """Put rows where `snapshot` was taken, here or elsewhere."""
         numbers = range(self.num_envs) if rows is None else rows
         for row, arrays in zip(numbers, snapshots, strict=True):
-            data = self._data[row]
-            mujoco.mj_resetData(self._model, data)
-            mujoco.mj_setState(self._model, data, arrays["mujoco"], _STATE)
+            self._simulations.put(row, arrays["mujoco"])
             self._rngs[row] = generator_from(arrays["generator"])
             self._elapsed[row], self._begun[row], self._ended[row] = arrays["counts"]
             for name, array in self._now.items():
@@ -164,35 +160,24 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
 
     def _advance(self, actions: NDArray[Any], active: Flags | None) -> tuple[Judgement, Flags]:
         """Physics of the active rows (None: all), then what the step was worth."""
-        model, frames, forces = self._model, self._env.frame_skip, self._kind.forces
-        step, finish = mujoco.mj_step, mujoco.mj_rnePostConstraint
-        with without_timer():
-            for row, (data, ctrl) in enumerate(zip(self._data, self._ctrl, strict=True)):
-                if active is None or active[row]:
-                    ctrl[:] = actions[row]
-                    step(model, data, frames)
-                    if forces:
-                        finish(model, data)
-        self._gather()
+        self._before, self._now = self._now, self._before
+        self._simulations.step(actions, active)
+        self._simulations.read(self._now)
         self._elapsed += 1 if active is None else active
         return self._kind.judge(self._before, self._now, actions), self._elapsed >= self._limit
 
-    def _gather(self) -> None:
-        self._before, self._now = self._now, self._before
-        for name, views in self._views.items():
-            np.concatenate(views, out=self._now[name].reshape(-1))
-
     def _begin(self, row: int, seed: int | None) -> dict[str, Any]:
         """Gymnasium's reset of one row; its info."""
-        env, data = self._env, self._data[row]
+        env, data = self._env, self._env.data
         if seed is not None:
             self._rngs[row], _ = seeding.np_random(seed)
-        env.data, env.np_random = data, self._generator(row)
+        env.np_random = self._generator(row)
         mujoco.mj_resetData(self._model, data)
         env.reset_model()
+        self._simulations.put(row, state_of(self._model, data))
         self._elapsed[row], self._begun[row], self._ended[row] = 0, True, False
-        for name, views in self._views.items():
-            self._now[name][row] = views[row].reshape(self._now[name].shape[1:])
+        for name, field in self._fields.items():
+            self._now[name][row] = field.of(data)
         info: dict[str, Any] = env._get_reset_info()
         return info
 

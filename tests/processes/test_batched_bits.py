@@ -11,6 +11,7 @@ from tests.bits import assert_same, compare, pair, random_actions, trained_actio
 from workers.envs import make_vec
 from workers.generic_vec import GenericVec
 from workers.mujoco_vec import MujocoVec
+from workers.simulations import Batched, OneByOne, has_batch
 
 NAMES = (
     "Ant", "HalfCheetah", "Hopper", "Walker2d", "Humanoid", "HumanoidStandup", "Swimmer",
@@ -56,6 +57,25 @@ def trace(env_id, **kwargs):
 @pytest.mark.parametrize("env_id", IDS)
 def test_a_batched_environment_has_gymnasiums_bits(env_id):
     assert compare(env_id, 60, random_actions(env_id), max_episode_steps=25) > 0
+
+
+@pytest.mark.parametrize("env_id", ["Ant-v4", "Hopper-v5", "Reacher-v4", "Walker2d-v5"])
+def test_without_mujocos_own_batch_the_bits_are_the_same(env_id, monkeypatch):
+    """As with a MuJoCo that has none."""
+    monkeypatch.setattr("workers.simulations.has_batch", lambda: False)
+    assert compare(env_id, 60, random_actions(env_id), max_episode_steps=25) > 0
+
+
+@pytest.mark.parametrize(
+    ("env_id", "way"),
+    [("Ant-v4", Batched), ("InvertedDoublePendulum-v5", Batched), ("Ant-v5", OneByOne)],
+)
+def test_contact_forces_alone_need_a_call_for_each_environment(env_id, way):
+    if not has_batch():
+        pytest.skip("this MuJoCo has no batch")
+    vec = make_vec(env_id, 2)
+    assert isinstance(vec, MujocoVec)
+    assert isinstance(vec._simulations, way)
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)

@@ -46,8 +46,8 @@ class InvertedDoublePendulumV4(Kind):
 
     def fields(self) -> dict[str, Field]:
         return super().fields() | {
-            "tip": lambda data: data.site_xpos[0],
-            "qfrc_constraint": lambda data: data.qfrc_constraint,
+            "tip": Field("site_xpos", 0),
+            "qfrc_constraint": Field("qfrc_constraint"),
         }
 
     def observe(self, now: State) -> Float64:

@@ -27,11 +27,11 @@ class _Body(Kind):
 
     def fields(self) -> dict[str, Field]:
         return super().fields() | {
-            "cinert": lambda data: data.cinert,
-            "cvel": lambda data: data.cvel,
-            "qfrc_actuator": lambda data: data.qfrc_actuator,
-            "cfrc_ext": lambda data: data.cfrc_ext,
-            "ctrl": lambda data: data.ctrl,
+            "cinert": Field("cinert"),
+            "cvel": Field("cvel"),
+            "qfrc_actuator": Field("qfrc_actuator"),
+            "cfrc_ext": Field("cfrc_ext"),
+            "ctrl": Field("ctrl"),
         }
 
     def observe(self, now: State) -> Float64:
@@ -50,8 +50,8 @@ class _BodyV5(_Body):
 
     def fields(self) -> dict[str, Field]:
         return super().fields() | {
-            "tendon_length": lambda data: data.ten_length,
-            "tendon_velocity": lambda data: data.ten_velocity,
+            "tendon_length": Field("ten_length"),
+            "tendon_velocity": Field("ten_velocity"),
         }
 
     def observe(self, now: State) -> Float64:
@@ -76,7 +76,7 @@ class HumanoidV4(_Body):
         self._total = env.model.body_mass.sum()
 
     def fields(self) -> dict[str, Field]:
-        return super().fields() | {"xipos": lambda data: data.xipos}
+        return super().fields() | {"xipos": Field("xipos")}
 
     def judge(self, before: State, now: State, action: Array) -> Judgement:
         env, xy = self.env, self._centre(now)

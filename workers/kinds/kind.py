@@ -3,11 +3,10 @@
 Shape letters: n environments · O observation size · A action size.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,8 +14,18 @@ Array = NDArray[Any]
 Float64 = NDArray[np.float64]
 State = Mapping[str, Float64]
 """Fields of MjData by name, [n, ...]."""
-Field = Callable[[mujoco.MjData], Float64]
-"""A view into one MjData."""
+
+
+class Field(NamedTuple):
+    """A field of MjData, or one of its rows."""
+
+    name: str
+    row: int | None = None
+
+    def of(self, data: Any) -> Float64:  # noqa: ANN401  MjData
+        """A view into one MjData."""
+        view: Float64 = getattr(data, self.name)
+        return view if self.row is None else view[self.row]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +51,7 @@ class Kind:
 
     def fields(self) -> dict[str, Field]:
         """What to copy out of MjData after each step."""
-        return {"qpos": lambda data: data.qpos, "qvel": lambda data: data.qvel}
+        return {"qpos": Field("qpos"), "qvel": Field("qvel")}
 
     def observe(self, now: State) -> Float64:
         """[n, O] observations."""
@@ -55,8 +64,7 @@ class Kind:
 
 def body(env: Any, name: str | int) -> Field:  # noqa: ANN401  as in Kind
     """Position of a body's frame [3]."""
-    number = int(env.data.body(name).id)
-    return lambda data: data.xpos[number]
+    return Field("xpos", int(env.data.body(name).id))
 
 
 def norm(vectors: Float64) -> Float64:

@@ -34,7 +34,7 @@ class AntV4(Kind):
     def fields(self) -> dict[str, Field]:
         fields = super().fields() | {"torso": body(self.env, "torso")}
         if self.forces:
-            fields["cfrc_ext"] = lambda data: data.cfrc_ext
+            fields["cfrc_ext"] = Field("cfrc_ext")
         return fields
 
     def observe(self, now: State) -> Float64:
