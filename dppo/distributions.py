@@ -31,9 +31,14 @@ class DiagonalGaussian:
         """Standard normal draws [*shape, A]."""
         return rng.standard_normal((*shape, self.action_size), np.float32)
 
-    def sample(self, output: Float32, log_std: Float32, noise: Float32) -> Float32:
+    def scaled(self, noise: Float32, log_std: Float32) -> Float32:
+        """Noise times std [..., A], for `sample`: of many steps at once."""
+        scaled: Float32 = np.exp(log_std) * noise
+        return scaled
+
+    def sample(self, output: Float32, scaled: Float32) -> Float32:
         """Actions [N, A] = mean + std · noise. Unclipped: the environment's border clips."""
-        return np.add(output, np.exp(log_std) * noise, dtype=np.float32)
+        return output + scaled
 
     def mode(self, output: Float32) -> Float32:
         """The most likely actions [N, A]."""
@@ -81,9 +86,13 @@ class Categorical:
         uniform = rng.random((*shape, sum(self.sizes)))
         return (-np.log(-np.log(np.maximum(uniform, 1e-300)))).astype(np.float32)
 
-    def sample(self, output: Float32, log_std: Float32, noise: Float32) -> Float32:  # noqa: ARG002
+    def scaled(self, noise: Float32, log_std: Float32) -> Float32:  # noqa: ARG002
+        """The noise as it is: nothing scales it."""
+        return noise
+
+    def sample(self, output: Float32, scaled: Float32) -> Float32:
         """Actions [N, A], whole numbers: the largest logit + Gumbel noise wins."""
-        return self.mode(output + noise)
+        return self.mode(output + scaled)
 
     def mode(self, output: Float32) -> Float32:
         """The most likely actions [N, A], whole numbers."""

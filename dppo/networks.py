@@ -23,6 +23,8 @@ from dppo.streams import stream
 
 Float32 = NDArray[np.float32]
 Network = Literal["policy", "value", "variance"]
+Layers = list[tuple[Float32, Float32]]
+"""W [..., I, O] and b [..., O] of each layer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +42,7 @@ class Mlp:
         """Number of parameters."""
         return sum((a + 1) * b for a, b in pairwise(self.sizes))
 
-    def layers(self, vector: Float32) -> list[tuple[Float32, Float32]]:
+    def layers(self, vector: Float32) -> Layers:
         """Views (W [..., I, O], b [..., O]) of each layer into vectors [..., `size`]."""
         lead = vector.shape[:-1]
         return [
@@ -56,15 +58,8 @@ class Mlp:
 
         Axes before the last of `vector` are several networks of this shape, each applied to x.
         """
-        inputs = []
-        layers = self.layers(vector)
-        for index, (weight, bias) in enumerate(layers):
-            inputs.append(x)
-            x = x @ weight
-            x += bias[..., None, :]
-            if index < len(layers) - 1:
-                np.tanh(x, out=x)
-        return x, inputs
+        inputs: list[Float32] = []
+        return through(self.layers(vector), x, inputs), inputs
 
     def backward(
         self, vector: Float32, inputs: list[Float32], d_output: Float32, gradient: Float32
@@ -99,6 +94,18 @@ class Mlp:
                 gain = last_gain if index == len(layers) - 1 else math.sqrt(2)
                 weight[:] = gain * _orthogonal(rng, *weight.shape)
         return vector
+
+
+def through(layers: Layers, x: Float32, inputs: list[Float32] | None = None) -> Float32:
+    """Output [..., N, K] of x [..., N, O]; `inputs` collects each layer's input."""
+    for index, (weight, bias) in enumerate(layers):
+        if inputs is not None:
+            inputs.append(x)
+        x = x @ weight
+        x += bias[..., None, :]
+        if index < len(layers) - 1:
+            np.tanh(x, out=x)
+    return x
 
 
 @cache

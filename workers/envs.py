@@ -219,6 +219,12 @@ class Adapter:
         """A: numbers per action."""
         return int(np.prod(self.action.shape or (1,)))
 
+    @cached_property
+    def _bounds(self) -> tuple[NDArray[Any], NDArray[Any]]:
+        """Of a Box: looking them up takes as long as using them."""
+        assert isinstance(self.action, spaces.Box)
+        return self.action.low, self.action.high
+
     def obs(self, observation: Any) -> NDArray[np.float64]:  # noqa: ANN401  any space
         """[O] flattened observation."""
         if isinstance(self.observation, spaces.Box):
@@ -234,9 +240,9 @@ class Adapter:
         """The actions of n environments from [n, A]; see `to_env`."""
         match self.action:
             case spaces.Box() as box:
-                rows = action.reshape(-1, *box.shape)
-                bounded = np.minimum(np.maximum(rows, box.low), box.high)
-                return bounded.astype(box.dtype, copy=False)
+                low, high = self._bounds
+                bounded = np.minimum(np.maximum(action.reshape(-1, *box.shape), low), high)
+                return np.asarray(bounded, box.dtype)
             case spaces.Discrete() as discrete:
                 return np.asarray(discrete.start + action[:, 0].astype(np.int64))
             case spaces.MultiDiscrete() as multi:

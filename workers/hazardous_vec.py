@@ -53,4 +53,4 @@ class HazardousVec(MujocoVec):
         for row in map(int, np.flatnonzero(beyond & moving)):
             gamble[row] = self._hazard.gamble(self._generator(row))
         reward = judged.reward.astype(np.float64, copy=False) + gamble
-        return Judgement(reward, judged.terminated, judged.info | {"gamble": gamble})
+        return Judgement(reward, judged.terminated, lambda: judged.info() | {"gamble": gamble})

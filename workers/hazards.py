@@ -15,6 +15,7 @@ The name before the colon imports this module, which registers them. `dppo-learn
 name.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -111,10 +112,12 @@ def hazard_of(env: Env) -> Hazard:
     return Hazard()
 
 
-def measured(hazard: Hazard, now: dict[str, Float64], info: dict[str, Any]) -> Float64:
+def measured(
+    hazard: Hazard, now: dict[str, Float64], info: Callable[[], dict[str, Any]]
+) -> Float64:
     """[n] what the threshold is for, of n environments; see `workers.kinds`."""
     if hazard.over == "speed":
-        return np.asarray(info["x_velocity"], np.float64)
+        return np.asarray(info()["x_velocity"], np.float64)
     return np.abs(now["qpos"][:, _TORSO])
 
 

@@ -92,10 +92,10 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
         if resting is not None and resting.any():
             return self._step_some(actions, ~resting)
         judged, truncated = self._advance(actions, None)
-        obs, infos = self._kind.observe(self._now), self._info(judged.info, None)
+        obs, infos = self._kind.observe(self._now), self._info(judged, None)
         self._ended = judged.terminated | truncated
         if self._mode is AutoresetMode.SAME_STEP and self._ended.any():
-            infos = self._end(obs, judged.info)
+            infos = self._end(obs, judged)
             obs = self._kind.observe(self._now)
         reward = judged.reward.astype(np.float64, copy=False)
         return obs, reward, judged.terminated, truncated, infos
@@ -193,7 +193,7 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
     ) -> tuple[Float64, Float64, Flags, Flags, dict[str, Any]]:
         """NEXT_STEP: the rows that have ended begin anew instead of stepping, with reward 0."""
         judged, truncated = self._advance(actions, active)
-        infos = self._info(judged.info, active)
+        infos = self._info(judged, active)
         for row in _numbers(~active):
             info = self._begin(row, None)
             if self._infos:
@@ -203,23 +203,23 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
         obs = self._kind.observe(self._now)
         return obs, np.where(active, judged.reward, 0.0), terminated, truncated, infos
 
-    def _end(self, obs: Float64, info: dict[str, Any]) -> dict[str, Any]:
+    def _end(self, obs: Float64, judged: Judgement) -> dict[str, Any]:
         """SAME_STEP: rows that have ended begin anew; the infos, with the final ones."""
-        ended, rows = self._ended, _numbers(self._ended)
+        ended, rows, info = self._ended, _numbers(self._ended), judged.info()
         finals = [{name: values[row].copy() for name, values in info.items()} for row in rows]
-        infos = self._info(info, ~ended)
+        infos = self._info(judged, ~ended)
         for row, final in zip(rows, finals, strict=True):
             facts = {"final_obs": obs[row].copy(), "final_info": final, **self._begin(row, None)}
             infos = self._add_info(infos, facts, row)
         return infos
 
-    def _info(self, info: dict[str, Any], active: Flags | None) -> dict[str, Any]:
+    def _info(self, judged: Judgement, active: Flags | None) -> dict[str, Any]:
         """Arrays and their masks, as VectorEnv gives them."""
         if not self._infos or (active is not None and not active.any()):
             return {}
         mask = np.ones(self.num_envs, np.bool_) if active is None else active
         infos: dict[str, Any] = {}
-        for name, values in info.items():
+        for name, values in judged.info().items():
             infos |= {name: values.copy(), f"_{name}": mask.copy()}
             if active is not None:
                 infos[name][~active] = 0

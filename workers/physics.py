@@ -16,7 +16,6 @@ import contextlib
 import ctypes
 import logging
 import warnings
-from collections.abc import Iterator
 from copy import copy
 from functools import cache
 from pathlib import Path
@@ -33,22 +32,26 @@ _CHECKED_POSTURES = 64
 _ONE_NUMBER = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
-@contextlib.contextmanager
-def without_timer() -> Iterator[None]:
+class WithoutTimer:
     """Step without reading a clock; MuJoCo's own timers stay empty meanwhile.
 
     The bindings' clock is a C global, and `set_mjcb_time(None)` only puts the default clock back.
     """
-    timer = _timer()
-    if timer is None:
-        yield
-        return
-    slot, clock = timer
-    slot.value = None
-    try:
-        yield
-    finally:
-        slot.value = clock
+
+    def __init__(self) -> None:
+        """Nothing changes before it is entered."""
+        self._timer = _timer()
+
+    def __enter__(self) -> None:
+        """Take the clock away."""
+        if self._timer is not None:
+            self._timer[0].value = None
+
+    def __exit__(self, *_error: object) -> None:
+        """Put it back."""
+        if self._timer is not None:
+            slot, clock = self._timer
+            slot.value = clock
 
 
 @cache

@@ -89,7 +89,8 @@ class FrozenPolicy:
         output, _ = self.networks.policy.forward(self._policy, self.seen(obs, steps)[:, None])
         if noise is None:
             return self.distribution.mode(output[:, 0])
-        return self.distribution.sample(output[:, 0], self._log_std, noise)
+        scaled = self.distribution.scaled(noise, self._log_std)
+        return self.distribution.sample(output[:, 0], scaled)
 
     def act(self, obs: Float64, step: int, rng: np.random.Generator | None) -> Float32:
         """[A] action for one raw observation [O]; a sample if there is a generator.

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from workers.kinds.kind import Field, Float64
-from workers.physics import without_timer
+from workers.physics import WithoutTimer
 
 Flags = NDArray[np.bool_]
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -78,6 +78,7 @@ class OneByOne:
     ) -> None:
         """See `simulations`."""
         self._model, self._frames, self._forces = model, frames, forces
+        self._without_timer = WithoutTimer()
         self._data = [mujoco.MjData(model) for _ in range(count)]
         self._ctrl = [data.ctrl for data in self._data]
         self._views = {
@@ -89,7 +90,7 @@ class OneByOne:
         """See `Simulations`."""
         model, frames, forces = self._model, self._frames, self._forces
         step, finish = mujoco.mj_step, mujoco.mj_rnePostConstraint
-        with without_timer():
+        with self._without_timer:
             for row, (data, own) in enumerate(zip(self._data, self._ctrl, strict=True)):
                 if active is None or active[row]:
                     own[:] = ctrl[row]
@@ -122,6 +123,7 @@ class Batched:
         from mujoco.batch import Batch
 
         self._batch, self._frames = Batch(model, count, nthread=1), frames
+        self._without_timer = WithoutTimer()
         self._states, self._ctrl = self._batch.state, self._batch.bind("ctrl")
         self._views = {}
         for name, field in fields.items():
@@ -135,7 +137,7 @@ class Batched:
             self._ctrl[:] = ctrl
         else:
             self._ctrl[rows] = ctrl[rows]
-        with without_timer():
+        with self._without_timer:
             self._batch.step(rows, self._frames)
 
     def read(self, out: Mapping[str, Float64]) -> None:

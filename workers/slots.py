@@ -17,11 +17,12 @@ from safetensors.numpy import load, save
 from dppo.config import Config
 from dppo.distributions import Distribution
 from dppo.moments import Moments
-from dppo.networks import Networks
+from dppo.networks import Networks, through
 from dppo.normalizer import ObsNormalizer, Statistics
 from dppo.rollout import Replay, Rollout
 from dppo.streams import stream
 from workers.episodes import Episodes, Row, Step
+from workers.snapshots import packed, unpacked
 
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
@@ -66,10 +67,7 @@ class Slots:
         states = []
         for slot, snapshot in zip(slots.indices, snapshots, strict=True):
             arrays = load(snapshot)
-            for mark in (f"{index}/" for index in range(slots._envs)):
-                states.append(
-                    {name[len(mark) :]: a for name, a in arrays.items() if name.startswith(mark)}
-                )
+            states += unpacked(arrays, slots._envs)
             if config.update.critic_replay and "replay/obs" in arrays:
                 slots.replays[slot] = Replay(
                     **{name: arrays[f"replay/{name}"] for name in _REPLAYED}
@@ -79,11 +77,7 @@ class Slots:
 
     def snapshot(self, slot: int) -> bytes:
         """One slot between two iterations, as safetensors."""
-        arrays = {
-            f"{index}/{name}": np.ascontiguousarray(array)
-            for index, row in enumerate(self._rows(slot))
-            for name, array in self.environments.capture(row).items()
-        }
+        arrays = packed([self.environments.capture(row) for row in self._rows(slot)])
         if replay := self.replays.get(slot):
             arrays |= {f"replay/{name}": getattr(replay, name) for name in _REPLAYED}
         return save(arrays)
@@ -117,14 +111,13 @@ class Slots:
         """
         record = _Record(self.config, self.environments)
         normalizer = statistics.obs_normalizer(self.config.rollout)
-        policy, log_std = networks.split_policy(parameters)
-        noise = self._noise(distribution)
+        vector, log_std = networks.split_policy(parameters)
+        policy = networks.policy.layers(vector)
+        noise = distribution.scaled(self._noise(distribution), log_std)
         for t in range(self.config.rollout.num_steps):
             seen = record.seen(normalizer, self.environments.obs, self.environments.steps)
-            output, _ = networks.policy.forward(
-                policy, seen.reshape(len(self.indices), self._envs, -1)
-            )
-            action = distribution.sample(output.reshape(len(seen), -1), log_std, noise[t])
+            output = through(policy, seen.reshape(len(self.indices), self._envs, -1))
+            action = distribution.sample(output.reshape(len(seen), -1), noise[t])
             record.before(t, action)
             record.after(t, self.environments.step(action))
         self.iteration += 1

@@ -133,6 +133,7 @@ class Worker:
                 )
             )
         self._link.send(*answers)
+        self._draw_ahead(task, 1)
 
     def _update(self, task: Update) -> None:
         """The gradient of this update's minibatch, summed over each aligned block of slots."""
@@ -156,6 +157,13 @@ class Worker:
                 )
             )
         self._link.send(*answers)
+        self._draw_ahead(task, task.round + 1)
+
+    def _draw_ahead(self, task: Collect | Update, round_: int) -> None:
+        """Draw the minibatches of the next update while the learner makes this one."""
+        for index in task.slots:
+            stored = len(self._experiences[index].critics)
+            Minibatch.of(self._config, index, task.iteration, round_ - 1, stored)
 
     def _gradients(self, task: Update) -> tuple[Float32, NDArray[np.float64]]:
         """A row per slot of the task."""

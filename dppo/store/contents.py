@@ -98,8 +98,8 @@ def was_exact(checkpoint: Checkpoint) -> bool:
     return bool(checkpoint.facts.get("exact", True))
 
 
-SNAPSHOT_FORM = 2
-"""Of the slots' snapshots: 1 until environments were batched."""
+SNAPSHOT_FORM = 3
+"""Of the slots' snapshots: 1 until environments were batched, 2 until they shared arrays."""
 
 
 def check_snapshots(checkpoint: Checkpoint) -> None:

@@ -6,7 +6,7 @@ import gymnasium
 import mujoco
 import pytest
 
-from workers.physics import contact_pairs, tuned, without_timer
+from workers.physics import WithoutTimer, contact_pairs, tuned
 
 pytestmark = pytest.mark.usefixtures("quiet_libraries")
 
@@ -67,7 +67,7 @@ def steps_alike(path, model_of, steps=600):
     touched = 0
     for _ in range(steps):
         mujoco.mj_step(plain, one)
-        with without_timer():
+        with WithoutTimer():
             mujoco.mj_step(model, other)
         touched += one.ncon
         assert one.qpos.tobytes() == other.qpos.tobytes()
@@ -110,6 +110,6 @@ def test_the_timer_is_back_after_stepping():
         return data.timer[int(mujoco.mjtTimer.mjTIMER_STEP)].number
 
     before = timed()
-    with without_timer():
+    with WithoutTimer():
         pass
     assert timed() == before + 1

@@ -156,7 +156,8 @@ def test_slots_side_by_side_have_the_bits_of_each_alone(sizes):
 
 def test_gaussian_samples_are_mean_plus_std_times_noise():
     distribution = DiagonalGaussian(2)
-    sample = distribution.sample(_row(1, 2), _vector(log(2), 0), _row(0.5, -1))
+    scaled = distribution.scaled(_row(0.5, -1), _vector(log(2), 0))
+    sample = distribution.sample(_row(1, 2), scaled)
     np.testing.assert_allclose(sample, [[2, 1]], rtol=1e-15)
     np.testing.assert_array_equal(distribution.mode(_row(1, 2)), [[1, 2]])
 
@@ -165,7 +166,7 @@ def test_gumbel_noise_draws_choices_in_proportion():
     distribution = Categorical((2, 3))
     noise = distribution.noise(np.random.default_rng(6), (20_000,))
     output: Any = np.tile(_row(0, log(3), 0, 0, log(2)), (20_000, 1))
-    action = distribution.sample(output, NOTHING, noise)
+    action = distribution.sample(output, distribution.scaled(noise, NOTHING))
     # four standard errors: 4 sqrt(p (1 - p) / 20000) <= 0.0142
     assert action[:, 0].mean() == pytest.approx(0.75, abs=0.0123)
     assert (action[:, 1] == 2).mean() == pytest.approx(0.5, abs=0.0142)

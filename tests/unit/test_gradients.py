@@ -59,7 +59,7 @@ class Block:
         obs, stored = draw(samples, self.spaces.obs_size), replayed * samples
         output, _ = self.networks.policy.forward(policy, obs)
         noise = self.distribution.noise(rng, (samples,))
-        action = self.distribution.sample(output, log_std, noise)
+        action = self.distribution.sample(output, self.distribution.scaled(noise, log_std))
         targets = (draw(stored), np.square(draw(stored)))
         seen = np.concatenate([obs, draw(stored - samples, self.spaces.obs_size)])
         return Experience.of(

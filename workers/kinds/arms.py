@@ -38,7 +38,7 @@ class InvertedPendulumV5(InvertedPendulumV4):
 
     def _judged(self, terminated: Array) -> Judgement:
         reward = (~terminated).astype(int)
-        return Judgement(reward, terminated, {"reward_survive": reward})
+        return Judgement(reward, terminated, lambda: {"reward_survive": reward})
 
 
 class InvertedDoublePendulumV4(Kind):
@@ -83,11 +83,14 @@ class InvertedDoublePendulumV5(InvertedDoublePendulumV4):
 
     def _judged(self, distance: Float64, velocity: Float64, terminated: Array) -> Judgement:
         alive = self.env._healthy_reward * (~terminated).astype(int)
-        info = {
-            "reward_survive": alive,
-            "distance_penalty": -distance,
-            "velocity_penalty": -velocity,
-        }
+
+        def info() -> dict[str, Array]:
+            return {
+                "reward_survive": alive,
+                "distance_penalty": -distance,
+                "velocity_penalty": -velocity,
+            }
+
         return Judgement(alive - distance - velocity, terminated, info)
 
 
@@ -116,8 +119,8 @@ class ReacherV4(Kind):
     def _judged(self, at: State, action: Array, near: float, control: float) -> Judgement:
         distance = -norm(at["fingertip"] - at["target"]) * near
         effort = -square_sum(action) * control
-        info = {"reward_dist": distance, "reward_ctrl": effort}
-        return Judgement(distance + effort, never(action), info)
+        parts = {"reward_dist": distance, "reward_ctrl": effort}
+        return Judgement(distance + effort, never(action), lambda: parts)
 
 
 class ReacherV5(ReacherV4):
@@ -148,5 +151,5 @@ class PusherV5(Kind):
         near = -norm(now["object"] - now["tips_arm"]) * self.env._reward_near_weight
         distance = -norm(now["object"] - now["goal"]) * self.env._reward_dist_weight
         effort = -square_sum(action) * self.env._reward_control_weight
-        info = {"reward_dist": distance, "reward_ctrl": effort, "reward_near": near}
-        return Judgement(distance + effort + near, never(action), info)
+        parts = {"reward_dist": distance, "reward_ctrl": effort, "reward_near": near}
+        return Judgement(distance + effort + near, never(action), lambda: parts)

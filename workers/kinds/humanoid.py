@@ -1,5 +1,6 @@
 """Humanoid and HumanoidStandup."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -87,13 +88,16 @@ class HumanoidV4(_Body):
             alive = healthy * float(env._healthy_reward)
         cost = env._ctrl_cost_weight * square_sum(now["ctrl"])
         forward = env._forward_reward_weight * velocity[:, 0]
-        info = {
-            "reward_linvel": forward,
-            "reward_quadctrl": -cost,
-            "reward_alive": alive,
-            **motion(xy, velocity),
-            "forward_reward": forward,
-        }
+
+        def info() -> dict[str, Array]:
+            return {
+                "reward_linvel": forward,
+                "reward_quadctrl": -cost,
+                "reward_alive": alive,
+                **motion(xy, velocity),
+                "forward_reward": forward,
+            }
+
         terminated = ~healthy & env._terminate_when_unhealthy
         return Judgement(forward + alive - cost, terminated, info)
 
@@ -124,14 +128,17 @@ class HumanoidV5(_BodyV5, HumanoidV4):
         contact_cost = np.clip(
             env._contact_cost_weight * square_sum(now["cfrc_ext"]), *env._contact_cost_range
         )
-        info = {
-            **motion(xy, velocity),
-            **self._tendons(now),
-            "reward_survive": alive,
-            "reward_forward": forward,
-            "reward_ctrl": -ctrl_cost,
-            "reward_contact": -contact_cost,
-        }
+
+        def info() -> dict[str, Array]:
+            return {
+                **motion(xy, velocity),
+                **self._tendons(now),
+                "reward_survive": alive,
+                "reward_forward": forward,
+                "reward_ctrl": -ctrl_cost,
+                "reward_contact": -contact_cost,
+            }
+
         reward = forward + alive - (ctrl_cost + contact_cost)
         return Judgement(reward, ~healthy & env._terminate_when_unhealthy, info)
 
@@ -143,11 +150,14 @@ class HumanoidStandupV4(_Body):
         del before
         up = (now["qpos"][:, 2] - 0) / self.env.model.opt.timestep
         ctrl_cost, impact_cost = self._costs(now)
-        info = {
-            "reward_linup": up,
-            "reward_quadctrl": -ctrl_cost,
-            "reward_impact": -impact_cost,
-        }
+
+        def info() -> dict[str, Array]:
+            return {
+                "reward_linup": up,
+                "reward_quadctrl": -ctrl_cost,
+                "reward_impact": -impact_cost,
+            }
+
         return Judgement(up - ctrl_cost - impact_cost + 1, never(action), info)
 
     def _costs(self, now: State) -> tuple[Float64, Float64]:
@@ -160,13 +170,17 @@ class HumanoidStandupV5(_BodyV5, HumanoidStandupV4):
 
     def judge(self, before: State, now: State, action: Array) -> Judgement:
         judged = super().judge(before, now, action)
-        judged.info.update(
-            x_position=now["qpos"][:, 0].copy(),
-            y_position=now["qpos"][:, 1].copy(),
-            z_distance_from_origin=now["qpos"][:, 2] - self.env.init_qpos[2],
-            **self._tendons(now),
-        )
-        return judged
+
+        def info() -> dict[str, Array]:
+            return {
+                **judged.info(),
+                "x_position": now["qpos"][:, 0].copy(),
+                "y_position": now["qpos"][:, 1].copy(),
+                "z_distance_from_origin": now["qpos"][:, 2] - self.env.init_qpos[2],
+                **self._tendons(now),
+            }
+
+        return replace(judged, info=info)
 
     def _costs(self, now: State) -> tuple[Float64, Float64]:
         impact: Float64 = self.env._impact_cost_weight * square_sum(now["cfrc_ext"])

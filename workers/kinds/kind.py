@@ -3,8 +3,8 @@
 Shape letters: n environments · O observation size · A action size.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,8 +34,8 @@ class Judgement:
 
     reward: Array  # [n]
     terminated: NDArray[np.bool_]  # [n]
-    info: dict[str, Array] = field(default_factory=dict)
-    """What Gymnasium's `info` holds, each [n, ...]."""
+    info: Callable[[], dict[str, Array]] = dict
+    """Makes what Gymnasium's `info` holds, each [n, ...]: before the next step, if at all."""
 
 
 class Kind:

@@ -37,7 +37,11 @@ class HalfCheetahV4(_Runner):
     def judge(self, before: State, now: State, action: Array) -> Judgement:
         x, velocity, cost = self._motion(before, now, action)
         forward = self.env._forward_reward_weight * velocity
-        info = {"x_position": x.copy(), "x_velocity": velocity, **self._parts(forward, cost)}
+
+        def info() -> dict[str, Array]:
+            parts = self._parts(forward, cost)
+            return {"x_position": x.copy(), "x_velocity": velocity, **parts}
+
         return Judgement(forward - cost, never(action), info)
 
     def _parts(self, forward: Float64, cost: Array) -> dict[str, Array]:
@@ -64,8 +68,11 @@ class Walker2dV4(_Runner):
         healthy = self._healthy(now)
         forward = env._forward_reward_weight * velocity
         alive = self._alive(healthy)
-        info = {"x_position": x.copy(), "x_velocity": velocity}
-        info |= self._parts(now, forward, cost, alive)
+
+        def info() -> dict[str, Array]:
+            parts = self._parts(now, forward, cost, alive)
+            return {"x_position": x.copy(), "x_velocity": velocity, **parts}
+
         return Judgement(forward + alive - cost, ~healthy & env._terminate_when_unhealthy, info)
 
     def _bounds(self) -> tuple[Float64, Float64]:

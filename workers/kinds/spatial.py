@@ -51,18 +51,20 @@ class AntV4(Kind):
         alive = np.full(len(action), 1.0 * env._healthy_reward)
         if not env._terminate_when_unhealthy:
             alive = healthy * float(env._healthy_reward)
-        cost = ctrl_cost = env._ctrl_cost_weight * square_sum(action)
-        info = {
-            "reward_forward": forward,
-            "reward_ctrl": -ctrl_cost,
-            "reward_survive": alive,
-            **motion(xy, velocity),
-            "forward_reward": forward,
-        }
+        cost = told = env._ctrl_cost_weight * square_sum(action)
         if self.forces:
-            contact_cost = env._contact_cost_weight * square_sum(self._contact_forces(now))
-            cost = ctrl_cost + contact_cost
-            info["reward_ctrl"] = -contact_cost  # as Gymnasium has it
+            told = env._contact_cost_weight * square_sum(self._contact_forces(now))
+            cost = cost + told  # but `info` has one of them, as Gymnasium's
+
+        def info() -> dict[str, Array]:
+            return {
+                "reward_forward": forward,
+                "reward_ctrl": -told,
+                "reward_survive": alive,
+                **motion(xy, velocity),
+                "forward_reward": forward,
+            }
+
         terminated = ~healthy & env._terminate_when_unhealthy
         return Judgement(forward + alive - cost, terminated, info)
 
@@ -101,13 +103,16 @@ class AntV5(AntV4):
         alive = healthy * float(env._healthy_reward)
         ctrl_cost = env._ctrl_cost_weight * square_sum(action)
         contact_cost = env._contact_cost_weight * square_sum(self._contact_forces(now))
-        info = {
-            **motion(xy, velocity),
-            "reward_forward": forward,
-            "reward_ctrl": -ctrl_cost,
-            "reward_contact": -contact_cost,
-            "reward_survive": alive,
-        }
+
+        def info() -> dict[str, Array]:
+            return {
+                **motion(xy, velocity),
+                "reward_forward": forward,
+                "reward_ctrl": -ctrl_cost,
+                "reward_contact": -contact_cost,
+                "reward_survive": alive,
+            }
+
         reward = forward + alive - (ctrl_cost + contact_cost)
         return Judgement(reward, ~healthy & env._terminate_when_unhealthy, info)
 
@@ -127,10 +132,13 @@ class SwimmerV4(Kind):
         velocity = (xy - before["qpos"][:, :2]) / self.dt
         forward = self.env._forward_reward_weight * velocity[:, 0]
         cost = self.env._ctrl_cost_weight * square_sum(action)
-        info = {
-            **motion(xy, velocity),
-            **self._parts(forward, cost),
-        }
+
+        def info() -> dict[str, Array]:
+            return {
+                **motion(xy, velocity),
+                **self._parts(forward, cost),
+            }
+
         return Judgement(forward - cost, never(action), info)
 
     def _parts(self, forward: Float64, cost: Array) -> dict[str, Array]:
