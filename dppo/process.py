@@ -36,6 +36,10 @@ _TIDY_SECONDS = 10.0
 """A command that has been told to end has so long before a further signal ends it at once."""
 
 
+_AGAIN_SECONDS = 0.05
+"""A signal that comes during an import is looked at again after so long."""
+
+
 class Terminated(BaseException):
     """SIGTERM arrived."""
 
@@ -140,19 +144,47 @@ class _Ending:
 
     def __init__(self) -> None:
         self._begun = math.inf
+        self._put_off = 0
+        """The signal that has come while something was imported."""
+
+    def listen(self) -> None:
+        """Take over the signals that ask for an end."""
+        signal.signal(signal.SIGALRM, self._again)
+        signal.signal(signal.SIGTERM, self.arrived)
+        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as it is behind nohup and &
+            signal.signal(signal.SIGINT, self.arrived)
 
     def begin(self) -> None:
         """From here on signals end nothing, for a while."""
         self._begun = min(self._begun, time.monotonic())
 
-    def arrived(self, number: int, _frame: FrameType | None) -> None:
-        """A signal: raises the first time; at once out when tidying up takes too long."""
+    def arrived(self, number: int, frame: FrameType | None) -> None:
+        """A signal: raises the first time; at once out when tidying up takes too long.
+
+        Not within an import: some libraries swallow there whatever is raised.
+        """
         if time.monotonic() - self._begun > _TIDY_SECONDS:
             os._exit(128 + number)
-        first = self._begun == math.inf
+        if self._begun < math.inf:
+            return
+        if _imports(frame):
+            self._put_off = number
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_SECONDS)
+            return
         self.begin()
-        if first:
-            raise KeyboardInterrupt if number == signal.SIGINT else Terminated
+        raise KeyboardInterrupt if number == signal.SIGINT else Terminated
+
+    def _again(self, _number: int, frame: FrameType | None) -> None:
+        self.arrived(self._put_off, frame)
+
+
+def _imports(frame: FrameType | None) -> bool:
+    """Is a module being imported?"""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
 
 
 def leave(work: Callable[[], int], delivers: bool = False) -> NoReturn:
@@ -166,39 +198,48 @@ def leave(work: Callable[[], int], delivers: bool = False) -> NoReturn:
         delivers: after a signal the result is missing: exit code 128 + signal, and a line. Else
             it is 0: what was reached is kept, or nobody waits for anything.
     """
-    ending = _Ending()
-    signal.signal(signal.SIGTERM, ending.arrived)
-    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as it is behind nohup and &
-        signal.signal(signal.SIGINT, ending.arrived)
-    sys.setswitchinterval(_SWITCH_SECONDS)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # it may know neither σ nor ψ
-            stream.reconfigure(errors="replace")
-    code = _exit_code(work, delivers)
-    ending.begin()
+    code = _exit_code(_Ending(), work, delivers)
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):  # a pipe that nobody reads, a file on a full disk
             stream.flush()
     os._exit(code)
 
 
-def _exit_code(work: Callable[[], int], delivers: bool) -> int:
+def _exit_code(ending: _Ending, work: Callable[[], int], delivers: bool) -> int:
     try:
-        return work()
-    except BrokenPipeError:
-        return 0  # whoever reads has enough
+        ending.listen()
+        _prepare()
+        code = work()
+        ending.begin()
+        return code
     except (KeyboardInterrupt, Terminated) as stop:
         if not delivers:
             return 0
         number = signal.SIGINT if isinstance(stop, KeyboardInterrupt) else signal.SIGTERM
         say(f"stopped by {number.name}; the result is not complete", sys.stderr)
         return 128 + number
-    except (DppoError, OSError) as error:
-        say(f"error: {error}", sys.stderr)
-        return 2 if isinstance(error, UsageError) else 1
-    except Exception:
-        traceback.print_exc()  # a bug of ours; the interpreter would now wait for all threads
-        return 1
+    except Exception as error:
+        ending.begin()
+        return _failed(error)
+
+
+def _failed(error: Exception) -> int:
+    """Say why; the exit code."""
+    match error:
+        case BrokenPipeError():
+            return 0  # whoever reads has enough
+        case DppoError() | OSError():
+            say(f"error: {error}", sys.stderr)
+            return 2 if isinstance(error, UsageError) else 1
+    traceback.print_exception(error)  # a bug of ours
+    return 1
+
+
+def _prepare() -> None:
+    sys.setswitchinterval(_SWITCH_SECONDS)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # it may know neither σ nor ψ
+            stream.reconfigure(errors="replace")
 
 
 def say(text: str, stream: TextIO | None = None) -> None:

@@ -1,5 +1,6 @@
 """How a command ends after signals."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -29,6 +30,58 @@ def work():
 
 process.leave(work, delivers=len(sys.argv) > 2)
 """
+
+
+EARLY = """
+import os
+import signal
+import sys
+import time
+from dppo import process
+
+
+def come(*_args):
+    os.kill(os.getpid(), signal.{name})
+
+
+def work():
+    import greedy
+
+    print("went on", flush=True)
+    time.sleep(60)
+    return 0
+
+
+if sys.argv[1] == "import":
+    sys.come = come
+else:
+    sys.setswitchinterval = come
+process.leave(work, delivers=True)
+"""
+GREEDY = """
+import sys
+
+try:
+    sys.come()
+    sum(range(1000))  # signals are looked at between two steps of the interpreter
+except BaseException:
+    pass
+"""
+
+
+@pytest.mark.parametrize("when", ["import", "start"])
+@pytest.mark.parametrize(("name", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
+def test_a_signal_is_not_lost_that_comes_in_the_first_moments(when, name, code, tmp_path):
+    """Libraries swallow what is raised while they are imported: the command would go on."""
+    (tmp_path / "greedy.py").write_text(GREEDY)
+    found = subprocess.run(
+        [sys.executable, "-c", EARLY.format(name=name), when],
+        cwd=ROOT, env=os.environ | {"PYTHONPATH": f"{ROOT}:{tmp_path}"}, timeout=50, check=False,
+        capture_output=True, text=True, restore_signals=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )  # fmt: skip
+    assert found.returncode == code
+    assert found.stderr == f"stopped by {name}; the result is not complete\n"
 
 
 @pytest.fixture
