@@ -42,10 +42,15 @@ def _measures(compared: Comparisons) -> Iterator[tuple[str, dict[str, str], str]
     falls = {
         env: of_interval(free["terminated"]["interval"], min(free["seeds"]))
         for env, one in compared.items()
-        if "interval" in (free := one.get("free", {})).get("terminated", {})
+        if (free := one.get("free", {})).get("terminated") and _differ(free["terminated"])
     }
     if falls:
         yield "falls of final policies", falls, ""
+
+
+def _differ(falls: Mapping[str, Any]) -> bool:
+    """Somewhere somebody falls, that is: else there is nothing to judge."""
+    return falls["interval"] is not None or falls["difference"] != 0
 
 
 def _of_policies(
@@ -59,11 +64,11 @@ def _of_policies(
     means = {
         env: of_interval(one["mean"]["interval"], seeds) for env, (one, seeds) in free.items()
     }
-    yield f"mean {kind} return of final policies", means, f"within{suffix}_mean"
+    yield f"mean of final policies, {kind}", means, f"within{suffix}_mean"
     within = {env: of_spread_within(*one) for env, one in free.items()}
-    yield "spread of that within a policy", within, f"within{suffix}"
+    yield f"std within a policy, {kind}", within, f"within{suffix}"
     goals = {env: of_goal(one, "free", kind) for env, one in policies.items()}
-    yield "30 % less of that for 5 % of the mean", goals, ""
+    yield f"30 % less std for 5 % of the mean, {kind}", goals, ""
 
 
 def goal_sentence(results: Results) -> str:

@@ -33,11 +33,11 @@ def test_each_measure_has_its_own_verdicts_with_their_environments():
     assert (
         found["its spread across seeds"][0] == f"{OPEN} (Ant-v4, Walker2d-v4); lower (Hopper-v4)"
     )
-    assert found["mean undiscounted return of final policies"] == (
+    assert found["mean of final policies, undiscounted"] == (
         f"{OPEN} (Ant-v4, Walker2d-v4); lower (Hopper-v4)",
         "1.00 times",
     )
-    assert found["spread of that within a policy"] == (
+    assert found["std within a policy, undiscounted"] == (
         f"lower (Ant-v4); {OPEN} (Hopper-v4); higher (Walker2d-v4)",
         "1.00 times",
     )
@@ -53,9 +53,14 @@ def test_falls_and_the_goal_are_told():
             "std_ratio": spread, "std_ratio_interval": [spread - 0.05, spread + 0.05],
             "mean_ratio_interval": [0.98, 1.02],
         }  # fmt: skip
+    arms = results_of({"HalfCheetah-v4": {}})["environments"]["HalfCheetah-v4"]["arms"]
+    free = arms["psi-paper"]["against_baseline"]["free"]
+    free["terminated"] = {"difference": 0.0, "interval": None}  # nobody falls there
+    results["environments"]["HalfCheetah-v4"] = {"arms": arms}
     found = lines_of(results)
     assert found["falls of final policies"] == ("lower (Ant-v4); higher (Hopper-v4)", "–")
-    assert found["30 % less of that for 5 % of the mean"] == ("yes (Ant-v4); no (Hopper-v4)", "–")
+    goal, _ = found["30 % less std for 5 % of the mean, undiscounted"]
+    assert goal.startswith("yes (Ant-v4); no (Hopper-v4); not judged")
 
 
 def test_the_goal_counts_environments_where_some_arm_reaches_it():
