@@ -89,7 +89,7 @@ class Puppet:
             case Update():
                 return [self._gradient(message, *block) for block in aligned_blocks(message.slots)]
             case Measure():
-                return [self._measured(message, slot) for slot in message.slots]
+                return [self._measured(message, *block) for block in aligned_blocks(message.slots)]
         return []
 
     def _collected(self, task: Collect, slot: int) -> Collected:
@@ -124,13 +124,14 @@ class Puppet:
             sums=np.array([getattr(sums, name) for name in Sums.__slots__]),
         )
 
-    def _measured(self, task: Measure, slot: int) -> Measured:
+    def _measured(self, task: Measure, first: int, size: int) -> Measured:
         return Measured(
             worker=self.name,
             generation=task.generation,
             iteration=task.iteration,
             round=task.round,
-            slot=slot,
-            kl=0.01 * _SAMPLES,
-            weight=float(_SAMPLES),
+            first=first,
+            size=size,
+            kls=np.full(size, 0.01 * _SAMPLES),
+            weights=np.full(size, float(_SAMPLES)),
         )

@@ -163,15 +163,15 @@ def slot_kls(
     distribution: Distribution,
     parameters: Float32,
     experiences: Sequence[Experience],
-) -> list[Sums]:
-    """KL[π_old‖π] over all samples of each slot: what β is adapted by."""
+) -> tuple[FloatArray, FloatArray]:
+    """[S] sums of KL[π_old‖π] over all samples of each slot, which move β; [S] samples."""
     policy, log_std = networks.split_policy(parameters)
     columns, old_log_std = experiences[0].columns, experiences[0].log_std_old
     table = np.stack([experience.policy for experience in experiences])
     output, _ = networks.policy.forward(policy, columns.obs(table))
     kl = distribution.kl(columns.output_old(table), old_log_std, output, log_std)
-    sums = kl.astype(np.float64).sum(axis=1)
-    return [Sums(kl=float(total), kl_weight=float(kl.shape[1])) for total in sums]
+    sums: FloatArray = kl.astype(np.float64).sum(axis=1)
+    return sums, np.full(len(kl), float(kl.shape[1]))
 
 
 def _gather(tables: Sequence[Float32], rows: Sequence[Rows]) -> Float32:

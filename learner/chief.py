@@ -108,7 +108,9 @@ class Chief:
         )
         answers = cast("list[Measured]", list(measured.answers.values()))
         training.kls = [
-            (answer.kl, answer.weight) for answer in sorted(answers, key=lambda a: a.slot)
+            (float(kl), float(weight))
+            for answer in sorted(answers, key=lambda a: a.first)
+            for kl, weight in zip(answer.kls, answer.weights, strict=True)
         ]
 
     @property

@@ -39,7 +39,7 @@ class Expected:
         match answer:
             case Gradient() if not set(answer.stopped) <= set(members(block_of(answer))):
                 return f"sent a Gradient of other slots than {answer.stopped}, which it stops"
-            case Measured() if answer.weight == 0:
+            case Measured() if not answer.weights.all():
                 return "sent a Measured over no samples"
             case Collected() if not _is_whole(answer.snapshot):
                 return "sent a Collected whose snapshot is damaged"
@@ -60,7 +60,7 @@ class Expected:
                     "episodes": 2 * (len(answer.episodes) // 2),
                 }  # fmt: skip
             case Measured():
-                return {}
+                return {"kls": answer.size, "weights": answer.size}
 
     def _counts(self, answer: Answer) -> list[tuple[float, int]]:
         """Counts of samples, each with the most that it can be (critics may learn twice)."""
@@ -74,7 +74,7 @@ class Expected:
                     for name, vector in _moments(answer).items()
                 ]
             case Measured():
-                return [(answer.weight, self.samples)]
+                return [(float(weight), self.samples) for weight in answer.weights]
 
 
 def odd_sizes(ready: Ready) -> str:
@@ -116,7 +116,8 @@ def _sizes(answer: Answer) -> dict[str, float]:
             found = {name: _greatest(vector) for name, vector in _moments(answer).items()}
             return found | {"episode": 0.0 * float(answer.episodes.sum())}  # of any size
         case Measured():
-            return {"KL per sample": abs(answer.kl) / max(answer.weight, 1.0)}
+            each = np.abs(answer.kls) / np.maximum(answer.weights, 1.0)
+            return {"KL per sample": float(each.max())}
 
 
 def _moments(answer: Collected) -> dict[str, NDArray[np.float64]]:
@@ -147,4 +148,4 @@ def _greatest(moments: NDArray[np.float64]) -> float:
 
 def block_of(answer: Answer) -> Block:
     """The slots that an answer is about."""
-    return (answer.first, answer.size) if isinstance(answer, Gradient) else (answer.slot, 1)
+    return (answer.slot, 1) if isinstance(answer, Collected) else (answer.first, answer.size)

@@ -116,8 +116,11 @@ class Worker:
     def answer(self, task):
         where = {"generation": 1, "iteration": task.iteration, "round": task.round}
         if isinstance(task, wire.Measure):
-            for slot in task.slots:
-                self.say(wire.Measured, **where, slot=slot, kl=float(slot), weight=1.0)
+            for first, size in aligned_blocks(task.slots):
+                kls = np.array([float(slot) for slot in members((first, size))])
+                self.say(
+                    wire.Measured, **where, first=first, size=size, kls=kls, weights=np.ones(size)
+                )
             return
         for first, size in aligned_blocks(task.slots):
             rows = [

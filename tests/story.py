@@ -41,7 +41,10 @@ GRADIENT = wire.Gradient(
     worker="", generation=7, iteration=1, round=1, first=0, size=1, stopped=(), vector=ONES,
     sums=np.zeros(7),
 )  # fmt: skip
-MEASURED = wire.Measured(worker="", generation=7, iteration=1, round=3, slot=0, kl=0.0, weight=1.0)
+MEASURED = wire.Measured(
+    worker="", generation=7, iteration=1, round=3, first=0, size=1, kls=np.zeros(1),
+    weights=np.ones(1),
+)  # fmt: skip
 COLLECT = wire.Collect(
     generation=7, iteration=1, round=0, slots=ALL, psi=0.1, beta=1.0, mean_reward=2.5,
     parameters=ONES, obs=np.zeros(1 + 2 * OBS), returns=np.zeros(3), sigma_target=np.zeros(3),

@@ -196,23 +196,26 @@ class Worker:
         )
 
     def _measure(self, task: Measure) -> None:
-        """KL[π_old|π] over all of a slot's samples, after the last update."""
+        """KL[π_old|π] over all samples of each slot, after the last update."""
         experiences = [self._experience(index, task.iteration)[0] for index in task.slots]
-        facts = slot_kls(self._networks, self._distribution, task.parameters, experiences)
-        self._link.send(
-            *(
+        kls, weights = slot_kls(self._networks, self._distribution, task.parameters, experiences)
+        answers = []
+        for first, size in aligned_blocks(task.slots):
+            start = task.slots.index(first)
+            rows = slice(start, start + size)
+            answers.append(
                 Measured(
                     worker=self._name,
                     generation=task.generation,
                     iteration=task.iteration,
                     round=task.round,
-                    slot=index,
-                    kl=one.kl,
-                    weight=one.kl_weight,
+                    first=first,
+                    size=size,
+                    kls=kls[rows],
+                    weights=weights[rows],
                 )
-                for index, one in zip(task.slots, facts, strict=True)
             )
-        )
+        self._link.send(*answers)
 
     def _at_start(self, task: Collect) -> Slots:
         """The slots of a task side by side, ready to collect its iteration."""

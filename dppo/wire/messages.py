@@ -10,7 +10,7 @@
       | <----------------------- Update -- |   update u: parameters, advantage moments, slots
       | -- Gradient ---------------------> |   one per aligned block of slots
       | <---------------------- Measure -- |   parameters after the last update
-      | -- Measured ---------------------> |   one per slot: KL over all its samples
+      | -- Measured ---------------------> |   one per block: KL over all samples
       | <------------------------- Stop -- |   with a reason
       | -- Alive ------------------------> |   twice a second: how much is done
       | -- Failure ----------------------> |   a slot or an environment that cannot go on
@@ -120,21 +120,20 @@ class Gradient:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measured:
-    """KL[π_old‖π] of one slot after the iteration's updates.
+    """KL[π_old‖π] of each slot of an aligned block after the iteration's updates.
 
     Example:
-        Measured(worker="w-3f2a", generation=1, iteration=0, round=11, slot=3, ...)
+        Measured(worker="w-3f2a", generation=1, iteration=0, round=11, first=4, size=4, ...)
     """
 
     worker: str
     generation: int
     iteration: int
     round: int
-    slot: int
-    kl: float
-    """Sum over samples [nats]."""
-    weight: float
-    """Samples."""
+    first: int
+    size: int
+    kls: Float64  # [size] of each slot, sum over its samples [nats]
+    weights: Float64  # [size] samples
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -83,7 +83,8 @@ def run(choices, drop=0):
         if iteration:
             last = wire.Measure(**where, round=1 + UPDATES, parameters=parameters)
             measured: Any = exchange.gather(last, SLOTS).answers
-            assert sorted(answer.kl for answer in measured.values()) == list(map(float, ALL))
+            kls = [kl for answer in measured.values() for kl in answer.kls.tolist()]
+            assert sorted(kls) == list(map(float, ALL))
         snapshots = {slot: answer.snapshot for (slot, _), answer in collected.items()}
     return parameters, accepted
 

@@ -108,7 +108,7 @@ def test_beta_moves_once_by_the_mean_kl_or_a_little_by_that_of_each_slot(scope, 
     Their mean is above it, too.
     """
     free = run_with(kl={"kl_scope": scope})
-    kls = sorted(m.kl / m.weight for m in received(free, Measured, 1))
+    kls = sorted(kl for m in received(free, Measured, 1) for kl in (m.kls / m.weights).tolist())
     low, high = (kls[0] + kls[1]) / 2, (kls[1] + kls[2]) / 2
     assert np.mean(kls) > high
     band = {"kl_low": low / CONFIG.kl.kl_target, "kl_high": high / CONFIG.kl.kl_target}

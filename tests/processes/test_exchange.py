@@ -68,7 +68,7 @@ def test_the_heir_of_a_lost_worker_catches_up_once_and_joins_at_the_present_ques
     assert not story.exchange.exact  # the move lost bits: the run says so
     assert two.heard() == ["Update (2, 3)", *CATCHING_UP]
     for slot in ALL:
-        two.say(MEASURED, slot=slot)
+        two.say(MEASURED, first=slot)
     assert story.ask(MEASURE).missing == ()
     assert two.heard() == ["Measure (0, 1, 2, 3)"]
 
@@ -192,6 +192,31 @@ def test_what_cannot_be_a_collection_expels_its_sender(facts, sentence):
     two.collected(2, 3)
     two.collected(0, 1)
     assert {answer.worker for answer in story.collect().answers.values()} == {"w2"}
+    assert one.heard()[-1] == "Stop"
+    assert one.last.final
+    assert sentence in one.last.reason
+
+
+@pytest.mark.parametrize(
+    ("facts", "sentence"),
+    [
+        ({"kls": np.zeros(3)}, "Measured.kls of 3 numbers, expected 2"),
+        ({"weights": np.ones(1)}, "Measured.weights of 1 numbers, expected 2"),
+        ({"weights": np.array([1.0, 0.0])}, "a Measured over no samples"),
+        ({"weights": np.array([1.0, 1e9])}, "over 1e+09 samples"),
+    ],
+)
+def test_what_cannot_be_a_measurement_expels_its_sender(facts, sentence):
+    story = Story("w1", "w2")
+    one, two = story.players
+    one.collected(0, 1)
+    two.collected(2, 3)
+    story.collect()
+    one.say(MEASURED, **{"size": 2, "kls": np.zeros(2), "weights": np.ones(2), **facts})
+    two.collected(0, 1)
+    for first in (0, 2):
+        two.say(MEASURED, first=first, size=2, kls=np.zeros(2), weights=np.ones(2))
+    assert {answer.worker for answer in story.ask(MEASURE).answers.values()} == {"w2"}
     assert one.heard()[-1] == "Stop"
     assert one.last.final
     assert sentence in one.last.reason

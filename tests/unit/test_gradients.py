@@ -264,17 +264,17 @@ def test_under_kl_scope_chief_no_slot_stops_by_itself():
 def test_the_kl_of_a_slot_has_the_same_bits_alone_and_beside_others():
     block = Block(BOX, _config(), slots=3)
     arguments = block.networks, block.distribution, block.new
-    together = slot_kls(*arguments, block.experiences)
-    assert together == [slot_kls(*arguments, [one])[0] for one in block.experiences]
-    assert len({one.kl for one in together}) == 3
+    kls, weights = slot_kls(*arguments, block.experiences)
+    assert kls.tolist() == [slot_kls(*arguments, [one])[0][0] for one in block.experiences]
+    assert len(set(kls)) == 3
+    assert weights.tolist() == [SAMPLES] * 3
 
 
 def test_slot_kls_sum_over_all_samples_of_a_slot():
     block = Block(BOX, _config(), slots=1)
     everything = np.arange(SAMPLES)
     _, sums = block.gradient([0], [Minibatch(policy=everything, critics=None)])
-    found = slot_kls(block.networks, block.distribution, block.new, block.experiences)[0]
-    assert found.kl_weight == SAMPLES
-    assert found.kl == pytest.approx(Sums.from_vector(sums[0]).kl, rel=1e-6)
-    unmoved = slot_kls(block.networks, block.distribution, block.old, block.experiences)[0]
-    assert unmoved.kl == 0.0
+    (kl,), _ = slot_kls(block.networks, block.distribution, block.new, block.experiences)
+    assert kl == pytest.approx(Sums.from_vector(sums[0]).kl, rel=1e-6)
+    (unmoved,), _ = slot_kls(block.networks, block.distribution, block.old, block.experiences)
+    assert unmoved == 0.0

@@ -46,7 +46,7 @@ EXAMPLES: list[Message] = [
     messages.Gradient(
         worker="w", **PLACE, first=4, size=4, stopped=(5, 7), vector=NARROW, sums=WIDE
     ),
-    messages.Measured(worker="w", **PLACE, slot=3, kl=5.2, weight=512.0),
+    messages.Measured(worker="w", **PLACE, first=2, size=2, kls=WIDE[:2], weights=WIDE[1:]),
     messages.Alive(worker="w", generation=1, done=48211),
     messages.Failure(worker="w", generation=1, slot=3, usage=False, reason="slot 3, env 1 …"),
     messages.Welcome(run="3f9c", generation=1, config='{"run": {}}', name="main"),
@@ -158,10 +158,14 @@ def test_a_missing_or_extra_field_is_refused(values):
         ("Stop", [3, True], "Stop.reason is a int, expected str"),
         ("Stop", ["x", 1], "Stop.final is a int, expected bool"),
         ("Stop", ["x", None], "Stop.final is a NoneType, expected bool"),
-        ("Measured", ["w", 1, 4, 2, 3, 5, 512.0], "Measured.kl is a int, expected float"),
-        ("Measured", ["w", True, 4, 2, 3, 5.0, 512.0], "Measured.generation is a bool"),
-        ("Measured", ["w", 1.0, 4, 2, 3, 5.0, 512.0], "Measured.generation is a float"),
-        ("Measured", [["w"], 1, 4, 2, 3, 5.0, 512.0], "Measured.worker is a list, expected str"),
+        (
+            "Collect",
+            [1, 4, 2, [0], 1, 1.0, 2.5, 0, 0, 0, 0],
+            "Collect.psi is a int, expected float",
+        ),
+        ("Measured", ["w", True, 4, 2, 2, 2, 0, 0], "Measured.generation is a bool"),
+        ("Measured", ["w", 1.0, 4, 2, 2, 2, 0, 0], "Measured.generation is a float"),
+        ("Measured", [["w"], 1, 4, 2, 2, 2, 0, 0], "Measured.worker is a list, expected str"),
         ("Measure", [1, 4, 2, 7, 0], "Measure.slots is int, expected a list of whole numbers"),
         ("Measure", [1, 4, 2, [0, True], 0], "Measure.slots is list, expected a list of whole"),
         ("Measure", [1, 4, 2, [0, [1]], 0], "Measure.slots is list, expected a list of whole"),
