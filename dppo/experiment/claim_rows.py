@@ -56,12 +56,10 @@ def _without_psi(arm: Summary) -> dict[str, Any]:
 
 def judged(verdict: str, claimed: str, cost: str = "") -> str:
     """`cost`: what a verdict that is as claimed was bought with."""
+    if verdict == claimed and cost:
+        return f"Not what is claimed: {verdict}, but {cost}."
     if verdict == claimed:
-        return (
-            f"Not what is claimed: {verdict}, but {cost}."
-            if cost
-            else (f"The claim holds here: {verdict}.")
-        )
+        return f"The claim holds here: {verdict}."
     if verdict in ("higher", "lower"):
         return f"The claim does not hold here: {verdict}."
     return f"Not decided: {verdict}."

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from dppo.experiment.numbers import NOTHING, ends
+from dppo.experiment.numbers import ratio_of
 from dppo.experiment.page import Table
 from dppo.experiment.results import Results
 from dppo.experiment.tables import arms_of
@@ -25,8 +25,13 @@ def in_short(results: Results) -> Table | None:
         }
         together = results["together"].get(key, {})
         for measure, verdicts, over in _measures(compared):
-            lines.append((key, measure, _grouped(verdicts), _ratio(together.get(over))))
-    head = ("arm", "measure", "against the baseline", "all environments together")
+            lines.append((key, measure, _grouped(verdicts), ratio_of(together.get(over))))
+    head = (
+        "arm",
+        "measure",
+        "against the baseline",
+        "over the baseline, all environments together",
+    )
     return Table(head, lines) if lines else None
 
 
@@ -105,7 +110,3 @@ def _grouped(verdicts: Mapping[str, str]) -> str:
     for env, verdict in verdicts.items():
         envs.setdefault(verdict, []).append(env)
     return "; ".join(f"{verdict} ({', '.join(where)})" for verdict, where in envs.items())
-
-
-def _ratio(one: Any) -> str:  # noqa: ANN401  JSON
-    return NOTHING if one is None else f"{one['ratio']:.2f} times{ends(one['interval'], 2)}"

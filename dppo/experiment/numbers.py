@@ -34,6 +34,11 @@ def times(against: Mapping[str, Any], name: str) -> str:
     )
 
 
+def ratio_of(one: Any) -> str:  # noqa: ANN401  JSON
+    """A ratio over environments with its interval; None: there is none."""
+    return NOTHING if one is None else f"{one['ratio']:.2f}{ends(one['interval'], 2)}"
+
+
 def _short(value: float) -> str:
     return f"{value:.2f}" if value < 100 else f"{value:.3g}"
 

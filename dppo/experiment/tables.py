@@ -5,7 +5,7 @@ from typing import Any
 
 from dppo.experiment.claim_rows import rows
 from dppo.experiment.claims import claims
-from dppo.experiment.numbers import NOTHING, ends, p_value, pair, times
+from dppo.experiment.numbers import NOTHING, ends, p_value, pair, ratio_of, times
 from dppo.experiment.page import Table
 from dppo.experiment.results import Results
 from dppo.experiment.verdicts import of_mean, of_spread
@@ -145,7 +145,7 @@ def over_environments(results: Results) -> Table | None:
             (
                 arm,
                 *texts,
-                *[_over(ratios.get(name)) for name in ("across", "within", "within_mean")],
+                *[ratio_of(ratios.get(name)) for name in ("across", "within", "within_mean")],
             )
         )
     head = (
@@ -154,10 +154,6 @@ def over_environments(results: Results) -> Table | None:
         "mean of these policies / baseline's",
     )  # fmt: skip
     return Table(head, lines) if lines else None
-
-
-def _over(one: Any) -> str:  # noqa: ANN401  JSON
-    return NOTHING if one is None else f"{one['ratio']:.2f}{ends(one['interval'], 2)}"
 
 
 def every_seed(results: Results) -> Table | None:
