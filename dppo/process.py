@@ -38,6 +38,8 @@ _TIDY_SECONDS = 10.0
 
 _AGAIN_SECONDS = 0.05
 """A signal that comes during an import is looked at again after so long."""
+_IMPORT_SECONDS = 5.0
+"""An import that lasts so much longer is interrupted."""
 
 
 class Terminated(BaseException):
@@ -144,8 +146,8 @@ class _Ending:
 
     def __init__(self) -> None:
         self._begun = math.inf
-        self._put_off = 0
-        """The signal that has come while something was imported."""
+        self._put_off, self._most = 0, math.inf
+        """The signal that has come while something was imported, and until when that counts."""
 
     def listen(self) -> None:
         """Take over the signals that ask for an end."""
@@ -161,13 +163,14 @@ class _Ending:
     def arrived(self, number: int, frame: FrameType | None) -> None:
         """A signal: raises the first time; at once out when tidying up takes too long.
 
-        Not within an import: some libraries swallow there whatever is raised.
+        Not within an import, unless it takes long: some libraries swallow there what is raised.
         """
         if time.monotonic() - self._begun > _TIDY_SECONDS:
             os._exit(128 + number)
         if self._begun < math.inf:
             return
-        if _imports(frame):
+        self._most = min(self._most, time.monotonic() + _IMPORT_SECONDS)
+        if _imports(frame) and time.monotonic() < self._most:
             self._put_off = number
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_SECONDS)
             return

@@ -21,6 +21,8 @@ class Training:
     """Standard deviations of A_V, A_σ and A_V − ψ A_σ, before standardising."""
     kls: list[tuple[float, float]] = field(default_factory=list)
     """Sum of KL[π_old‖π] after the last update, and samples, of each slot in order [nats]."""
+    std: float | None = None
+    """Mean standard deviation of actions after the updates; None: actions are choices."""
     dropped: int = 0
     policy_updates: int = 0
     sums: list[Sums] = field(default_factory=list)
@@ -89,6 +91,8 @@ def summarise(
         "cluster/workers": float(num_workers),
         "cluster/dropped": float(training.dropped),
     }
+    if training.std is not None:
+        metrics["train/std"] = training.std
     if starts.count > 0:
         metrics["safety/start_sigma"] = float(starts.mean[0])
     metrics |= {f"train/{name}_grad_norm": norm for name, norm in training.norms.items()}

@@ -82,6 +82,14 @@ def test_psi_follows_its_schedule_from_iteration_to_iteration(schedule, expected
     assert told == [collect.psi for collect in collects(run)]
 
 
+def test_the_policys_standard_deviation_is_told_as_it_is_after_the_updates():
+    run = train(config_of("Hopper-v5"))
+    for iteration, report in list(enumerate(run.reports))[:-1]:
+        _, log_std = run.networks.split_policy(sent(run, Collect, iteration + 1)[0].parameters)
+        assert report.metrics["train/std"] == pytest.approx(float(np.exp(log_std).mean()))
+    assert run.reports[0].metrics["train/std"] != run.reports[1].metrics["train/std"]
+
+
 def start_sigma(run, iteration):
     """Mean of sigma(s_0) over all episodes that began in the iteration."""
     counts, means, _ = np.array([m.start_sigma for m in received(run, Collected, iteration)]).T

@@ -84,6 +84,19 @@ def test_a_signal_is_not_lost_that_comes_in_the_first_moments(when, name, code, 
     assert found.stderr == f"stopped by {name}; the result is not complete\n"
 
 
+def test_an_import_that_does_not_end_is_interrupted(tmp_path):
+    (tmp_path / "greedy.py").write_text("import sys\nimport time\nsys.come()\ntime.sleep(60)\n")
+    command = EARLY.format(name="SIGTERM").replace(
+        "def come", "process._IMPORT_SECONDS = 0.2\ndef come"
+    )
+    found = subprocess.run(
+        [sys.executable, "-c", command, "import"],
+        cwd=ROOT, env=os.environ | {"PYTHONPATH": f"{ROOT}:{tmp_path}"}, timeout=50, check=False,
+        capture_output=True, text=True,
+    )  # fmt: skip
+    assert found.returncode == 143
+
+
 @pytest.fixture
 def started():
     """A command that tidies up until it reads a line.

@@ -56,6 +56,7 @@ def test_the_columns_to_watch_are_those_of_all_slots_together():
     assert metrics["safety/cvar10"] == (1 + 3) / 2
     assert metrics["charts/episodic_return"] == 6
     assert metrics["safety/sigma_mean"] == (1 + 3 + 5 + 3) / 4
+    assert "train/std" not in metrics  # actions are choices
     assert metrics["safety/start_sigma"] == (1 + 4 + 10) / 3  # of the episodes that began
     # squared deviations: of the targets 0, 2, 4, 2 from 2; of what is left, 0, 1, 1, 0, from 0.5
     assert metrics["train/explained_variance"] == pytest.approx(1 - 1 / 8)
