@@ -51,7 +51,7 @@ def calibration(cell: Cell) -> dict[str, Any] | None:
 
 def _verdict(low: float, high: float) -> str:
     """Whether a 95 % interval of a ratio lies within the goal."""
-    if 1 / GOAL <= low and high <= GOAL:
+    if low >= 1 / GOAL and high <= GOAL:
         return WITHIN
     return OUTSIDE if low > GOAL or high < 1 / GOAL else OPEN
 
