@@ -21,16 +21,17 @@ from benchmarks.puppets import config_of
 from benchmarks.stopwatch import REST, Place, Stopwatch
 
 WORKER: tuple[Place, ...] = (
-    ("mujoco:mj_step", "physics"),
-    ("mujoco:mj_rnePostConstraint", "physics"),
+    ("workers.simulations:Batched.step", "physics"),
+    ("workers.simulations:OneByOne.step", "physics"),
     ("workers.kinds:Kind.observe", "observations"),
     ("workers.kinds:Kind.judge", "rewards"),
-    ("workers.mujoco_vec:MujocoVec._gather", "observations"),
+    ("workers.simulations:Batched.read", "observations"),
+    ("workers.simulations:OneByOne.read", "observations"),
     ("workers.mujoco_vec:MujocoVec.step", "stepping"),
     ("workers.generic_vec:GenericVec.step", "stepping"),
     ("workers.episodes:Episodes.step", "stepping"),
     ("workers.episodes:Episodes.begin", "resets"),
-    ("dppo.networks:Mlp.forward", "recording>inference"),
+    ("workers.slots:through", "inference"),
     ("workers.slots:Slots._noise", "noise"),
     ("workers.slots:Slots.collect", "recording"),
     ("workers.slots:Slots.snapshot", "snapshots"),
