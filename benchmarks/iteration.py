@@ -76,7 +76,7 @@ def main() -> None:
         _lead(args)
     found = _measured(args)
     places = (*WORKER, *LEARNER, *WIRE, *LINKS["Learner"])
-    labels = [label.rpartition(">")[2] for _, label in places]
+    labels = [label for _, label in places]
     rows: list[Result] = [{"ms per iteration": label} for label in dict.fromkeys([*labels, REST])]
     for name, times in found.items():
         total = sum(times.values())

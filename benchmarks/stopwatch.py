@@ -46,13 +46,10 @@ class Stopwatch:
             self._labels.append(label)
 
     def timed(self, function: Callable[..., Any], label: str) -> Callable[..., Any]:
-        """The function under a label; `outer>label`: only directly within `outer`."""
-        outer, _, inner = label.rpartition(">")
+        """The function under a label."""
 
         def run(*args: Any, **kwargs: Any) -> Any:  # noqa: ANN401  any function
-            if outer and self._labels[-1] != outer:
-                return function(*args, **kwargs)
-            self.switch(inner)
+            self.switch(label)
             try:
                 return function(*args, **kwargs)
             finally:
