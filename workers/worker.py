@@ -11,6 +11,7 @@
 Waiting, joining and dying are in `membership.py`; this file is the algorithm.
 """
 
+from collections.abc import Iterator
 from itertools import compress
 
 import numpy as np
@@ -27,12 +28,19 @@ from dppo.normalizer import Statistics
 from dppo.process import give_back_memory
 from dppo.rollout import prepare
 from dppo.spaces import Spaces
-from dppo.sums import aligned_blocks, members, sum_rows
+from dppo.sums import Block, aligned_blocks, members, sum_rows
 from dppo.wire.links import WorkerLink
 from dppo.wire.messages import Collect, Collected, Gradient, Measure, Measured, Restore, Update
 from workers.slots import Slots
 
 Float32 = NDArray[np.float32]
+
+
+def _rows_of_blocks(slots: tuple[int, ...]) -> Iterator[tuple[Block, slice]]:
+    """Aligned blocks, and where each lies among the slots: as neighbours, in order."""
+    for first, size in aligned_blocks(slots):
+        start = slots.index(first)
+        yield (first, size), slice(start, start + size)
 
 
 class OutOfStepError(Exception):
@@ -139,10 +147,8 @@ class Worker:
         """The gradient of this update's minibatch, summed over each aligned block of slots."""
         vectors, sums = self._gradients(task)
         skipping, answers = skips(sums), []
-        for block in aligned_blocks(task.slots):
+        for block, rows in _rows_of_blocks(task.slots):
             first, size = block
-            start = task.slots.index(first)  # the slots of a block are neighbours, in order
-            rows = slice(start, start + size)
             answers.append(
                 Gradient(
                     worker=self._name,
@@ -200,9 +206,7 @@ class Worker:
         experiences = [self._experience(index, task.iteration)[0] for index in task.slots]
         kls, weights = slot_kls(self._networks, self._distribution, task.parameters, experiences)
         answers = []
-        for first, size in aligned_blocks(task.slots):
-            start = task.slots.index(first)
-            rows = slice(start, start + size)
+        for (first, size), rows in _rows_of_blocks(task.slots):
             answers.append(
                 Measured(
                     worker=self._name,

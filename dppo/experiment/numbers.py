@@ -1,6 +1,6 @@
 """Numbers of results.json as the report prints them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 NOTHING = "–"
@@ -32,6 +32,18 @@ def times(against: Mapping[str, Any], name: str) -> str:
     return f"{value:.2f}" + (
         "" if bounds is None else f" [{_short(bounds[0])}, {_short(bounds[1])}]"
     )
+
+
+def seed_range(by_seed: Sequence[float], form: str) -> str:
+    """From which to which seed, or the only one."""
+    low, high = (format(end(by_seed), form) for end in (min, max))
+    return f"{low} to {high}" if len(by_seed) > 1 else low
+
+
+def over_seeds(value: float, by_seed: Sequence[float], form: str) -> str:
+    """A number over seeds, and from which to which seed it is."""
+    seeds = f" (seeds: {seed_range(by_seed, form)})" if len(by_seed) > 1 else ""
+    return format(value, form) + seeds
 
 
 def ratio_of(one: Any) -> str:  # noqa: ANN401  JSON

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from dppo.experiment.calibrated import GOAL, OPEN, OUTSIDE, WITHIN
-from dppo.experiment.numbers import NOTHING, ends, times, with_ends
+from dppo.experiment.numbers import NOTHING, ends, over_seeds, seed_range, times, with_ends
 from dppo.experiment.page import Table
 from dppo.experiment.results import Results
 from dppo.experiment.tables import arms_of
@@ -121,16 +121,11 @@ def _ratio(one: Any) -> str:  # noqa: ANN401  JSON
     """Geometric mean, and from which to which seed."""
     if one is None:
         return NOTHING
-    seeds = f" (seeds: {_range(one)})" if len(one["by_seed"]) > 1 else ""
-    return f"{one['geometric_mean']:.2f}{seeds}"
+    return over_seeds(one["geometric_mean"], one["by_seed"], ".2f")
 
 
 def _range(one: Any) -> str:  # noqa: ANN401  JSON
-    """From which to which seed."""
-    if one is None:
-        return NOTHING
-    low, high = min(one["by_seed"]), max(one["by_seed"])
-    return f"{low:.2f}" + (f" to {high:.2f}" if len(one["by_seed"]) > 1 else "")
+    return NOTHING if one is None else seed_range(one["by_seed"], ".2f")
 
 
 def _return(one: Results, start: str) -> str:

@@ -5,7 +5,7 @@ from typing import Any
 
 from dppo.experiment.claim_rows import rows
 from dppo.experiment.claims import claims
-from dppo.experiment.numbers import NOTHING, ends, p_value, pair, ratio_of, times
+from dppo.experiment.numbers import NOTHING, ends, over_seeds, p_value, pair, ratio_of, times
 from dppo.experiment.page import Table
 from dppo.experiment.results import Results
 from dppo.experiment.verdicts import of_mean, of_spread
@@ -122,12 +122,7 @@ def moved_psi(results: Results) -> Table | None:
 
 
 def _over_seeds(one: Any) -> str:  # noqa: ANN401  JSON
-    """Mean, and from which to which seed."""
-    if one is None:
-        return NOTHING
-    low, high = min(one["by_seed"]), max(one["by_seed"])
-    seeds = f" (seeds: {low:.3g} to {high:.3g})" if len(one["by_seed"]) > 1 else ""
-    return f"{one['mean']:.3g}{seeds}"
+    return NOTHING if one is None else over_seeds(one["mean"], one["by_seed"], ".3g")
 
 
 def over_environments(results: Results) -> Table | None:
