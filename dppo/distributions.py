@@ -20,6 +20,11 @@ Gradient = tuple[Float32, Float32]
 """([N, K] with respect to the output, [N, A] with respect to log_std)."""
 
 
+def mean_std(log_std: Float32) -> float | None:
+    """Standard deviation of actions, mean over their dimensions; None: actions are choices."""
+    return float(np.exp(log_std).mean()) if log_std.size else None
+
+
 @dataclass(frozen=True, slots=True)
 class DiagonalGaussian:
     """Independent normals: mean from the network, log std a free parameter."""

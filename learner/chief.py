@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from dppo.adam import adam, clipped
 from dppo.config import Config
+from dppo.distributions import mean_std
 from dppo.gradients import Sums
 from dppo.losses import AdvantageStatistics
 from dppo.moments import Moments, merged
@@ -72,7 +73,7 @@ class Chief:
         if before.iteration > 0:  # the first one only fills the shared statistics
             self._improve(advantages, training)
             self._adapt(collected, training)
-        training.std = self._std()
+        training.std = mean_std(self._networks.split_policy(self._parameters)[1])
         self._advance(collected, training)
         self._ledger.iterated(before.iteration, self._parameters, collected)
         return summarise(
@@ -183,11 +184,6 @@ class Chief:
             training.note_norm(name, norm)
         self._parameters = parameters
         self.state = replace(state, optimizers=optimizers)
-
-    def _std(self) -> float | None:
-        """Mean over action dimensions of the policy's standard deviation."""
-        _, log_std = self._networks.split_policy(self._parameters)
-        return float(np.exp(log_std).mean()) if log_std.size else None
 
     def _policy_rates(self, rate: float) -> Float32:
         """[policy's part] step sizes; log std has a factor of its own."""

@@ -48,6 +48,7 @@ def leave(folder, run, score, **evaluation):
 def evaluated(spread, score, fell=False):
     """Four free episodes and four from one start, apart by `spread`."""
     return {
+        "settings": {"action_std": spread / 1000},
         "episodes": [
             {
                 "start": start, "return": score + sign * spread, "length": 10,

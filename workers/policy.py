@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dppo.distributions import Distribution, distribution_of
+from dppo.distributions import Distribution, distribution_of, mean_std
 from dppo.errors import UsageError
 from dppo.losses import softplus
 from dppo.networks import Network, Networks
@@ -55,6 +55,11 @@ class FrozenPolicy:
         self.parameters: Float32 = checkpoint.arrays["parameters"]
         self._normalizer = self.statistics.obs_normalizer(self.config.rollout)
         self._policy, self._log_std = self.networks.split_policy(self.parameters)
+
+    @property
+    def action_std(self) -> float | None:
+        """Of sampled actions, mean over their dimensions; None: actions are choices."""
+        return mean_std(self._log_std)
 
     def seen(self, obs: Float64, steps: NDArray[np.integer]) -> Float32:
         """[n, O] what the networks see of raw observations, `steps` [n] after the start.

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from dppo.experiment.claim_rows import Claim, Row, cost, judged, rows, times
+from dppo.experiment.claims_discussed import discussed
 from dppo.experiment.claims_over_all import in_all, outperforms, reduces
 from dppo.experiment.numbers import ends
 from dppo.experiment.significance import equal_spreads_of, welch_of
@@ -34,6 +35,7 @@ def _claims(results: Mapping[str, Any]) -> Iterator[Claim]:
         yield in_all(found)
         yield outperforms(found)
         yield reduces(found)
+        yield from discussed(found)
 
 
 def _of_mean(row: Row) -> Claim:

@@ -1,5 +1,6 @@
 """The figures of an arm on an environment, and of the arm against the baseline."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -58,6 +59,7 @@ def summary(cell: Cell) -> dict[str, Any]:
             start: found for start in STARTS if (found := evaluation(cell, start)) is not None
         },
         "calibration": calibration(cell),
+        "action_std": action_std(cell),
         "best_seed": best_seed(cell),
         "parameters_sha256": {
             str(one.run.seed): one.result.get("parameters_sha256") for one in cell.finished
@@ -104,6 +106,14 @@ def moved(cell: Cell) -> dict[str, Any]:
         if values:
             found[name] = {"mean": float(np.mean(values)), "by_seed": values}
     return found
+
+
+def action_std(cell: Cell) -> dict[str, Any] | None:
+    """Of final policies, mean over dimensions, and at the start; None: of none that is known."""
+    found = [one.evaluation.get("settings", {}).get("action_std") for one in cell.finished]
+    stds = [float(std) for std in found if std is not None]
+    start = math.exp(cell.runs[0].config.network.log_std_init)
+    return {"start": start, "by_seed": stds} if stds else None
 
 
 def evaluation(cell: Cell, start: str) -> dict[str, Any] | None:

@@ -15,7 +15,7 @@ from typing import Any
 from dppo.config import Config
 
 _ALWAYS = {"return": float, "length": int}
-_SETTINGS = ("env", "checkpoint", "env_steps", "actions", "gamma", "seed")
+_SETTINGS = ("env", "checkpoint", "env_steps", "actions", "action_std", "gamma", "seed")
 _MOST_STEPS = 100_000
 """An episode that nothing ends is cut: an environment need not have a time limit."""
 _PERHAPS = ("discounted_return", "terminated")

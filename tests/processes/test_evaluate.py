@@ -179,6 +179,10 @@ def test_dppo_eval_prints_mean_spread_tail_falls_and_intervals(harness, run_dir)
     process = harness.start("dppo", "eval", str(run_dir), *words)
     assert process.wait() == 0, process.text
     printed = json.loads(process.text)
+    _, log_std = policy_of(newest(run_dir)).networks.split_policy(
+        newest(run_dir).arrays["parameters"]
+    )
+    assert 0 < printed["action_std"] == pytest.approx(float(np.exp(log_std).mean()))
     assert [episode["start"] for episode in printed["episodes"]] == ["free"] * 12 + ["fixed"] * 12
     assert len({episode["reset_seed"] for episode in printed["episodes"][12:]}) == 1
     for start, episodes in (

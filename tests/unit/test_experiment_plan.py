@@ -262,8 +262,9 @@ def test_an_evaluation_keeps_what_it_has_of_each_episode():
         "start": "fixed", "return": 3, "discounted_return": 2.5, "length": 9, "terminated": True,
         "worth": 1,
     }  # fmt: skip
-    found = normalised({"episodes": [episode], "calibration": {"ratio": 1.1}, "seed": 3, "x": 4})
-    assert found["settings"] == {"seed": 3}
+    found = normalised({"episodes": [episode], "calibration": {"ratio": 1.1}, "seed": 3,
+                        "action_std": 0.2, "x": 4})  # fmt: skip
+    assert found["settings"] == {"action_std": 0.2, "seed": 3}
     assert found["calibration"] == {"ratio": 1.1}
     assert found["episodes"] == [{name: episode[name] for name in list(episode)[:-1]}]
 

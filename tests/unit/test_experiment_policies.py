@@ -1,6 +1,7 @@
 """What a report says of final policies: their returns, and σ."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -38,6 +39,26 @@ def test_policies_are_compared_by_one_number_a_seed(whole, start):
     assert "| 100.0% [83.2%, 100.0%] |" in page  # 20 of 20: Clopper and Pearson
     assert "spread lower; mean higher | yes |" in page
     assert "Within a policy: discounted returns from" in page
+
+
+def test_how_random_final_policies_are_stands_beside_how_they_began(whole):
+    _, results, page = whole
+    arms = results["environments"]["HalfCheetah-v4"]["arms"]
+    plain, safe = (arms[arm]["action_std"] for arm in ("psi0", "psi-paper"))
+    assert plain["start"] == safe["start"] == pytest.approx(math.exp(-1))
+    assert plain["by_seed"] == pytest.approx([0.101, 0.102, 0.103, 0.104, 0.105])
+    assert safe["by_seed"] == pytest.approx([0.011, 0.012, 0.013, 0.014, 0.015])
+    assert "HalfCheetah-v4 0.06 (0.37); lower for 10 of 10 policies" in page
+
+
+def test_policies_of_which_no_randomness_is_known_say_nothing_of_it(tmp_path):
+    folder, grid = planned(tmp_path)
+    for run, settings in zip(grid.runs, ({}, {"action_std": None}), strict=False):
+        leave(folder, run, 100.0, **evaluated(1.0, 100.0) | {"settings": settings})
+    results, page = report_of(folder)
+    arms = results["environments"]["HalfCheetah-v4"]["arms"].values()
+    assert [arm["action_std"] for arm in arms] == [None] * 3
+    assert "deterministic nature" not in page
 
 
 def test_the_calibration_is_a_geometric_mean_over_seeds(whole):

@@ -85,6 +85,7 @@ def run(args: EvalArgs) -> int:
         "checkpoint": path.name,
         "env_steps": checkpoint.facts["env_steps"],
         "actions": "most likely" if args.deterministic else "sampled",
+        "action_std": policy.action_std,
         "gamma": checkpoint.facts["config"]["returns"]["gamma"],
         "seed": args.seed,
     }
