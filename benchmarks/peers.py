@@ -83,15 +83,18 @@ def _sample_factory(env_id: str, note: Note) -> None:
 TRAINERS: dict[str, Callable[[str, Note], None]] = {
     "sb3": _stable_baselines(True),
     "sb3-dummy": _stable_baselines(False),
+    "sb3-batch": _stable_baselines(True, n_steps=256, n_epochs=5),
     "sb3-equal": _stable_baselines(True, n_steps=256, batch_size=1024, n_epochs=5),
     "sb3-full": _stable_baselines(True, n_steps=256, batch_size=2048, n_epochs=10),
     "cleanrl": _cleanrl(num_envs=1, num_steps=2048, minibatches=32),
     "cleanrl-8": _cleanrl(num_envs=8, num_steps=256, minibatches=32),
+    "cleanrl-batch": _cleanrl(num_envs=8, num_steps=256, minibatches=32, epochs=5),
     "cleanrl-equal": _cleanrl(num_envs=8, num_steps=256, minibatches=2, epochs=5),
     "cleanrl-envpool": _cleanrl(num_envs=32, num_steps=128, minibatches=1, backend="envpool"),
     "sample-factory": _sample_factory,
 }
-"""equal: dppo's batch of 2048, 5 epochs of 2 minibatches; full: one minibatch per epoch."""
+"""batch: dppo's batch of 2048 and its 5 epochs, minibatches of 64, the peers' own size; equal:
+dppo's 2 minibatches, too; full: one minibatch per epoch."""
 
 
 def main(trainer: str, env_id: str, file: str) -> None:
