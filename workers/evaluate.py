@@ -1,7 +1,7 @@
 """Returns of a frozen policy: what `dppo eval` prints."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -108,12 +108,24 @@ class Evaluation:
         return lines
 
 
-def policy_of(checkpoint: Checkpoint) -> FrozenPolicy:
-    """The checkpoint's policy, for the environment of its run."""
-    env = make_env(config_in(checkpoint).run)
-    spaces = spaces_of(env)
-    env.close()
-    return FrozenPolicy(checkpoint, spaces)
+def policy_of(checkpoint: Checkpoint, env: str = "", env_kwargs: str = "") -> FrozenPolicy:
+    """The checkpoint's policy, for the environment of its run or another one.
+
+    Args:
+        checkpoint: of the run.
+        env: Gymnasium id; empty: the run's.
+        env_kwargs: of the environment, as JSON; empty: the run's, or none with another `env`.
+
+    Raises:
+        UsageError: the environment cannot be made, or is not of the policy's sizes.
+    """
+    trained = config_in(checkpoint).run
+    kwargs = env_kwargs or ("{}" if env else trained.env_kwargs)
+    run = replace(trained, env=env or trained.env, env_kwargs=kwargs)
+    made = make_env(run)
+    spaces = spaces_of(made)
+    made.close()
+    return FrozenPolicy(checkpoint, spaces, run)
 
 
 def plans_of(seed: int, episodes: int, places: int, free: bool = True) -> list[Plan]:

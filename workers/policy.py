@@ -3,11 +3,12 @@
 Shape letters: n rows · O observation size · A action size · K numbers of noise per action.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dppo.config import RunConfig
 from dppo.distributions import Distribution, distribution_of, mean_std
 from dppo.errors import UsageError
 from dppo.losses import softplus
@@ -33,13 +34,17 @@ class Outlook:
 class FrozenPolicy:
     """A checkpoint's policy with its normaliser."""
 
-    def __init__(self, checkpoint: Checkpoint, spaces: Spaces) -> None:
-        """`spaces`: of the environment that it is to act in.
+    def __init__(
+        self, checkpoint: Checkpoint, spaces: Spaces, run: RunConfig | None = None
+    ) -> None:
+        """For an environment with these `spaces`, that of `run`; None: of the policy's own.
 
         Raises:
             UsageError: the checkpoint was trained on other sizes.
         """
-        self.config = config_in(checkpoint)
+        config = config_in(checkpoint)
+        self.config = config if run is None else replace(config, run=run)
+        """The run's, with the environment that the policy acts in."""
         trained = spaces_in(checkpoint)
         if trained != spaces:
             raise UsageError(

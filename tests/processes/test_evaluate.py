@@ -105,6 +105,34 @@ def test_the_environments_own_noise_differs_from_one_start(runs):
     assert len({trajectory.obs.tobytes() for trajectory in kept}) == 3
 
 
+def test_a_policy_can_be_played_elsewhere(run_dir):
+    play_in = partial(evaluate, episodes=3, deterministic=True, seed=3)
+    checkpoint = newest(run_dir)
+    at_home, noisy = play_in(policy_of(checkpoint)), "HopperActionNoise-v5"
+    assert play_in(policy_of(checkpoint, noisy, '{"noise_std": 0.0}')) == at_home
+    assert play_in(policy_of(checkpoint, noisy)) != at_home
+    free, paid = (
+        play_in(policy_of(checkpoint, env_kwargs=f'{{"healthy_reward": {reward}}}'))
+        for reward in (0.0, 2.0)
+    )
+    for less, more in zip(free.episodes, paid.episodes, strict=True):
+        assert more.total - less.total == pytest.approx(
+            2 * (less.length - less.terminated)  # the step of a fall is not paid for
+        )
+
+
+def test_dppo_eval_plays_elsewhere(harness, run_dir):
+    env, kwargs = "HopperActionNoise-v5", '{"noise_std": 0.5}'
+    words = ("--which", "newest", "--episodes", "2", "--env", env, "--env-kwargs", kwargs)
+    process = harness.start("dppo", "eval", str(run_dir), *words, "--json")
+    assert process.wait() == 0, process.text
+    printed = json.loads(process.text)
+    assert (printed["env"], printed["env_kwargs"]) == (env, kwargs)
+    policy = policy_of(newest(run_dir), env, kwargs)
+    found = evaluate(policy, episodes=2, deterministic=False, seed=0)
+    assert [one["return"] for one in printed["episodes"]] == [one.total for one in found.episodes]
+
+
 def test_a_failing_environment_ends_the_evaluation_with_its_reset_seed(runs):
     run = runs("tests.odd_envs:Walk-v0")
     config = json.loads((run / "config.json").read_text())
@@ -272,6 +300,12 @@ def test_dppo_checkpoint_shows_hashes_and_contents(harness, run_dir):
         (["eval", "{run}", "--episodes", "0"], "--episodes is 0, expected >= 1"),
         (["eval", "{run}", "--max-steps", "-1"], "--max-steps is -1, expected >= 0"),
         (["eval", "{run}", "--rows", "0"], "--rows is 0, expected >= 1"),
+        (["eval", "{run}", "--env", "Ant-v5"], "give the environment that it was trained on"),
+        (["eval", "{run}", "--env-kwargs", "3"], "--env-kwargs is '3', expected a JSON object"),
+        (
+            ["eval", "{run}", "--env", "Hopper-v4", "--calibration"],
+            "--env is Hopper-v4, expected the run's own with --calibration",
+        ),
         (["train"], "found train, expected eval, export, video, watch, checkpoint, replay"),
         ([], "found nothing, expected eval, export, video, watch, checkpoint, replay"),
     ],

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dppo.arguments import RunFolder
+from dppo.config import RunConfig
 from dppo.settings import require
 
 if TYPE_CHECKING:
@@ -28,6 +29,10 @@ class EvalArgs:
     """Also compare the run's sigma with the spread of returns from one start state."""
     deterministic: bool = False
     """Take the most likely action instead of sampling."""
+    env: str = ""
+    """Another environment than the run's, with the same spaces: is the policy good there, too?"""
+    env_kwargs: str = ""
+    """Its keyword arguments, as JSON; by default the run's, or with --env none."""
     which: str = "best"
     """best, newest, or a checkpoint's name such as iteration-00000040."""
     seed: int = 0
@@ -55,6 +60,13 @@ class EvalArgs:
             self.episodes,
             ">= 2 with --calibration",
         )
+        RunConfig(env_kwargs=self.env_kwargs or "{}")  # refuses what is no JSON object
+        require(
+            not (self.calibration and (self.env or self.env_kwargs)),
+            "env" if self.env else "env_kwargs",
+            self.env or repr(self.env_kwargs),
+            "the run's own with --calibration: sigma is of the returns there",
+        )
         require(self.max_steps >= 0, "max_steps", self.max_steps, ">= 0")
         require(0 <= self.seed < 2**63, "seed", self.seed, "0 <= seed < 2**63")
 
@@ -67,7 +79,7 @@ def run(args: EvalArgs) -> int:
 
     quiet()
     path, checkpoint = chosen(args.run, args.which)
-    policy = policy_of(checkpoint)
+    policy = policy_of(checkpoint, args.env, args.env_kwargs)
     calibrator = _calibrator(policy, args.max_steps) if args.calibration else None
     result = evaluate(
         policy,
@@ -81,7 +93,8 @@ def run(args: EvalArgs) -> int:
     )
     calibration = None if calibrator is None else calibrator.result(args.seed)
     facts: dict[str, Any] = {
-        "env": checkpoint.facts["config"]["run"]["env"],
+        "env": policy.config.run.env,
+        "env_kwargs": policy.config.run.env_kwargs,
         "checkpoint": path.name,
         "env_steps": checkpoint.facts["env_steps"],
         "actions": "most likely" if args.deterministic else "sampled",
