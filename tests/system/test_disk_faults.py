@@ -11,7 +11,7 @@ import subprocess
 
 import pytest
 
-from tests.support import SMALL, Harness, checkpoints, result, wait_until
+from tests.support import SMALL, checkpoints, result, wait_until
 
 pytestmark = pytest.mark.slow
 ITERATIONS = 400
@@ -21,13 +21,6 @@ RUN = (
 )  # fmt: skip
 GRACE = 10.0
 """What container engines leave between SIGTERM and SIGKILL [s]: part of the promise."""
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    """The hash of the run when nothing happens to it."""
-    harness = Harness(tmp_path_factory.mktemp("undisturbed"))
-    return harness.train(*RUN, run_dir=harness.folder / "run")["parameters_sha256"]
 
 
 def has_every_line_once(run_dir):

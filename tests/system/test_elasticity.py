@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from learner.local import free_address
-from tests.support import DEADLINE, SMALL, Harness, descendants, iterations, result, wait_until
+from tests.support import DEADLINE, SMALL, descendants, iterations, result, wait_until
 
 pytestmark = pytest.mark.slow
 RUN = (
@@ -16,14 +16,6 @@ RUN = (
 )  # fmt: skip
 OPENING_SECONDS = 10.0
 """What it takes Zenoh to give up a session that nobody answers."""
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    """The hash of the run when nothing happens to it."""
-    harness = Harness(tmp_path_factory.mktemp("undisturbed"))
-    outcome = harness.train(*RUN, "--local-workers", "2", run_dir=harness.folder / "run")
-    return outcome["parameters_sha256"]
 
 
 def external(address):

@@ -11,7 +11,6 @@ import pytest
 from learner.local import free_address
 from tests.support import (
     SMALL,
-    Harness,
     checkpoints,
     descendants,
     is_alive,
@@ -28,14 +27,6 @@ GRACE = 10.0
 """What container engines leave between SIGTERM and SIGKILL [s]: part of the promise."""
 PATIENCE = 3.0
 """The learner's own [s]."""
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    """The hash of the run when nothing happens to it."""
-    harness = Harness(tmp_path_factory.mktemp("undisturbed"))
-    outcome = harness.train(*RUN, "--local-workers", "2", run_dir=harness.folder / "run")
-    return outcome["parameters_sha256"]
 
 
 def test_a_worker_started_before_the_learner_waits_and_joins(harness):

@@ -32,12 +32,6 @@ def alone(tmp_path_factory, *args):
     return harness.train(*RUN, *args, "--local-workers", "2", run_dir=run_dir)["parameters_sha256"]
 
 
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    """The hash of the run when nothing happens to it."""
-    return alone(tmp_path_factory)
-
-
 def external(address):
     return ("--local-workers", "0", "--listen", address)
 

@@ -9,7 +9,7 @@ import sys
 import pytest
 
 from learner.local import free_address
-from tests.support import SMALL, Harness, checkpoints, iterations, result, wait_until
+from tests.support import SMALL, checkpoints, iterations, result, wait_until
 
 pytestmark = pytest.mark.slow
 ITERATIONS = 20
@@ -26,14 +26,6 @@ PLACES = {
     "iteration finished, not logged": "Chief.iterate return 8",
     "checkpoint begun": "Saving.begin return 3",
 }
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    """The hash of the run when nothing happens to it."""
-    harness = Harness(tmp_path_factory.mktemp("undisturbed"))
-    outcome = harness.train(*RUN, "--local-workers", "2", run_dir=harness.folder / "run")
-    return outcome["parameters_sha256"]
 
 
 @pytest.mark.parametrize("place", PLACES)

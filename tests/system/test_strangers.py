@@ -16,21 +16,13 @@ from dppo.wire.codec import VERSION, Frame, decode, encode, sealed
 from dppo.wire.messages import Alive, Collected, Gradient, Hello, Measured
 from dppo.wire.zenoh_links import BASE, open_connecting
 from learner.local import free_address
-from tests.support import SMALL, Harness, iterations, result, wait_until
+from tests.support import SMALL, iterations, result, wait_until
 
 pytestmark = pytest.mark.slow
 RUN = (
     "--env", "Hopper-v5", *SMALL, "--total-timesteps", str(150 * 8 * 64), "--verbose",
     "--hidden-sizes", "16", "16",
 )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    """The hash of the run when nobody disturbs it."""
-    harness = Harness(tmp_path_factory.mktemp("undisturbed"))
-    outcome = harness.train(*RUN, "--local-workers", "2", run_dir=harness.folder / "run")
-    return outcome["parameters_sha256"]
 
 
 class Stranger:

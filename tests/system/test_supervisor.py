@@ -7,7 +7,6 @@ import pytest
 
 from tests.support import (
     SMALL,
-    Harness,
     checkpoints,
     descendants,
     is_alive,
@@ -22,13 +21,6 @@ RUN = (
     "--checkpoint-every", "2", "--local-workers", "2",
 )  # fmt: skip
 RUN_0 = (*RUN[:-1], "0")
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
-    """The hash of the run when nothing happens to it."""
-    harness = Harness(tmp_path_factory.mktemp("undisturbed"))
-    return harness.train(*RUN, run_dir=harness.folder / "run")["parameters_sha256"]
 
 
 def learner_of(supervisor, other_than=0):
