@@ -71,7 +71,7 @@ def main() -> None:
     """Train a few iterations under timers."""
     args = _arguments()
     if args.socket:
-        _work(args.socket, args.name)
+        _work(args)
     if args.lead:
         _lead(args)
     found = _measured(args)
@@ -150,14 +150,15 @@ def _lead(args: argparse.Namespace) -> None:
     os._exit(0)
 
 
-def _work(descriptors: list[int], name: str) -> None:
+def _work(args: argparse.Namespace) -> None:
     """One worker; prints its seconds by label at the end."""
     from dppo.wire.socket_links import SocketWorkerLink
+    from workers.core import Core
     from workers.envs import quiet
     from workers.membership import Member
     from workers.worker import Worker
 
-    link = SocketWorkerLink(descriptors, orphaned=lambda: os._exit(0))
+    link = SocketWorkerLink(args.socket, orphaned=lambda: os._exit(0))
     quiet()
     watch = Stopwatch()
     absent = watch.put_on((*WORKER, *WIRE, *LINKS["Worker"]))
@@ -169,8 +170,8 @@ def _work(descriptors: list[int], name: str) -> None:
         perform(worker, task)
 
     Worker.perform = begin_at_warm  # type: ignore[method-assign, assignment]
-    Member(name, link, float("inf")).live()
-    _tell(name, watch, absent)
+    Member(args.name, link, float("inf"), Core(args.core)).live()
+    _tell(args.name, watch, absent)
     os._exit(0)
 
 
@@ -183,6 +184,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--lead", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--socket", nargs="+", type=int, help=argparse.SUPPRESS)
     parser.add_argument("--name", default="", help=argparse.SUPPRESS)
+    parser.add_argument("--core", type=int, default=-1, help=argparse.SUPPRESS)
     return parser.parse_args()
 
 

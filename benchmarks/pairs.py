@@ -30,8 +30,9 @@ class Pairs(LocalWorkers):
         for child in filter(None, self._children.values()):
             child.process.wait(timeout=60)
 
-    def _command(self, name: str, *descriptors: str) -> list[str]:
-        return [sys.executable, "-m", self.module, "--name", name, "--socket", *descriptors]
+    def _command(self, name: str, core: int, *descriptors: str) -> list[str]:
+        words = ("--name", name, "--core", str(core), "--socket", *descriptors)
+        return [sys.executable, "-m", self.module, *words]
 
 
 def serve_puppet(name: str, link: WorkerLink, size: int) -> None:

@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass, field
 
 from dppo.errors import RunFailedError
-from dppo.process import own_program
+from dppo.process import own_program, usable_cores
 from dppo.wire.socket_links import SocketLearnerLink
 
 log = logging.getLogger("learner")
@@ -144,7 +144,7 @@ class LocalWorkers:
         inherited = self.link.adopt(name)
         try:
             process = subprocess.Popen(
-                self._command(name, *map(str, inherited.descriptors)),
+                self._command(name, self._core(index), *map(str, inherited.descriptors)),
                 stdin=subprocess.DEVNULL,
                 pass_fds=inherited.descriptors,
                 start_new_session=True,
@@ -156,9 +156,14 @@ class LocalWorkers:
             inherited.close()
         return _Child(name, process, time.monotonic())
 
-    def _command(self, name: str, *descriptors: str) -> list[str]:
+    def _core(self, index: int) -> int:
+        """Each has a core of its own where there are as many as cores; else -1."""
+        return index if 1 < self.count == usable_cores() else -1
+
+    def _command(self, name: str, core: int, *descriptors: str) -> list[str]:
         verbose = "--verbose" if self.verbose else "--no-verbose"
-        return own_program("workers", "--socket", *descriptors, "--name", name, verbose)
+        words = ("--name", name, "--core", str(core), verbose)
+        return own_program("workers", "--socket", *descriptors, *words)
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

@@ -49,12 +49,15 @@ class _ChildArgs:
     socket: tuple[int, ...]
     """Descriptors of its end of the pair, and of the memory that both share."""
     name: str
+    core: int = -1
+    """Which of the usable cores it keeps to, if it can; -1: none."""
     verbose: bool = True
 
 
 def _serve_parent(arguments: list[str]) -> int:
     from dppo.process import end_with_parent, parse, start_logging
     from dppo.wire.socket_links import SocketWorkerLink
+    from workers.core import Core
     from workers.envs import quiet
     from workers.membership import Member
 
@@ -63,7 +66,7 @@ def _serve_parent(arguments: list[str]) -> int:
     start_logging(args.verbose)
     link = SocketWorkerLink(args.socket, orphaned=lambda: os._exit(0))
     quiet()
-    Member(args.name, link, float("inf")).live()
+    Member(args.name, link, float("inf"), Core(args.core)).live()
     return 0
 
 

@@ -26,6 +26,7 @@ from dppo.wire.messages import (
     Update,
     Welcome,
 )
+from workers.core import Core
 from workers.envs import env_hash, exactness, make_env, spaces_of
 from workers.failures import EnvironmentFailedError
 from workers.heart import Heart, beat
@@ -69,8 +70,11 @@ def wait_for(
 class Member:
     """One worker process on one link."""
 
-    def __init__(self, name: str, link: WorkerLink, patience: float) -> None:
+    def __init__(
+        self, name: str, link: WorkerLink, patience: float, core: Core | None = None
+    ) -> None:
         self._name, self._link, self._patience = name, link, patience
+        self._core = core or Core()
         self._worker: Worker | None = None
         self._served: dict[str, int] = {}
         """Of each run, the highest generation that this process has served."""
@@ -178,7 +182,8 @@ class Member:
                 case Restore() | Collect() | Update() | Measure():
                     if message.generation == generation:
                         beat()
-                        worker.perform(message)
+                        with self._core:
+                            worker.perform(message)
                 case Stop():
                     return message
                 case LearnerLost():

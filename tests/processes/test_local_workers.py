@@ -11,8 +11,9 @@ from pathlib import Path
 
 import pytest
 
-from dppo.process import own_program
+from dppo.process import own_program, usable_cores
 from dppo.wire.memory_links import MemoryHub
+from dppo.wire.messages import Hello
 from dppo.wire.socket_links import Alarm, SocketLearnerLink
 from learner import local
 from learner.local import LocalWorkers
@@ -47,6 +48,31 @@ def pids(workers):
 
 def open_files():
     return len(list(Path("/proc/self/fd").iterdir()))
+
+
+@pytest.mark.skipif(usable_cores() < 2, reason="needs two cores")
+@pytest.mark.parametrize("few", [False, True])
+def test_each_keeps_to_a_core_where_there_are_as_many_as_cores(few):
+    count = usable_cores() - few
+    link, said = SocketLearnerLink(MemoryHub().learner(), Alarm()), set()
+    workers = LocalWorkers(link, count=count, verbose=False)
+
+    def all_have_said_hello():
+        if isinstance(event := link.receive(0.05), Hello):
+            said.add(event.worker)
+        return len(said) == count
+
+    try:
+        workers.start()
+        wait_until(all_have_said_hello, "all Hellos")
+        kept = [os.sched_getaffinity(pid) for pid in pids(workers)]
+    finally:
+        workers.end()
+    cores = os.sched_getaffinity(0)
+    if few:
+        assert kept == [cores] * count
+    else:
+        assert sorted(map(sorted, kept)) == [[core] for core in sorted(cores)]
 
 
 def test_one_that_stops_before_it_has_joined_is_replaced(workers, caplog):
