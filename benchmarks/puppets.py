@@ -33,7 +33,7 @@ from dppo.wire.messages import (
 SPACES = Spaces(obs_size=27, action_kind="box", action_sizes=(8,))
 _SAMPLES = RolloutConfig().samples_per_slot
 _SNAPSHOT = save({"state": np.zeros(50_000, np.uint8)})
-"""As long as the two environments of a slot."""
+"""As long as a slot's environments, about."""
 
 
 def config_of(slots: int) -> Config:

@@ -35,8 +35,8 @@ Training is dppo-learner; workers on other hosts are dppo-worker. All three take
 
 Exit codes: 0 done, 1 failed, 2 wrong usage, 130 or 143: a signal came before the result."""
 
-_OPEN_ENDED = (["watch"], ["experiment"])
-"""Nothing is missing after Ctrl-C: the one is over then, the other goes on where it stopped."""
+_REPORTS = (["report"], ["keep"])
+"""What `dppo experiment` does besides training a grid."""
 
 
 class _OfRun(Protocol):
@@ -104,7 +104,12 @@ def main(argv: list[str] | None = None) -> None:
     words = sys.argv[1:] if argv is None else argv
     if words[:1] not in (["video"], ["watch"]):
         no_window()
-    leave(lambda: _command(words), delivers=words[:1] not in _OPEN_ENDED)
+    leave(lambda: _command(words), delivers=not _is_open_ended(words))
+
+
+def _is_open_ended(words: list[str]) -> bool:
+    """Is nothing missing after Ctrl-C? Who watches is done then, and a grid goes on later."""
+    return words[:1] == ["watch"] or (words[:1] == ["experiment"] and words[1:2] not in _REPORTS)
 
 
 def _command(words: list[str]) -> int:

@@ -2,9 +2,9 @@
 
 Shape letters: N samples · O observation size (with the time feature) · P parameters of a run.
 
-Why not a module tree: a gradient is computed for 64 rows at a time, a thousand times a second,
-and the bits must not depend on what else the process does. Three matrix products per layer in
-NumPy take a quarter of the time of an autograd graph (docs/decisions/0002); a test holds every
+Why not a module tree: a gradient is computed for some dozen rows at a time, hundreds of times a
+second, and the bits must not depend on what else the process does. Three matrix products per layer
+in NumPy take a quarter of the time of an autograd graph (docs/decisions/0002); a test holds every
 gradient against torch's.
 """
 

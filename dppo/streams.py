@@ -1,7 +1,7 @@
 """Random streams by counter: every draw belongs to (seed, purpose, indices), to nothing else.
 
 No generator is carried from one iteration to the next, so a slot's draws do not depend on which
-process asks for them, in which order, or how often (architecture, section 1.2).
+process asks for them, in which order, or how often (docs/design.md).
 """
 
 from typing import Literal

@@ -32,23 +32,40 @@ _OF_A_RUN = ("config.json", "result.json", "evaluation.json")
 def keep(folder: Folder, plan: Plan, out: Path) -> Path:
     """Make a new folder of what the report needs, and the report in it; the page's path.
 
+    What is interrupted leaves an empty folder.
+
     Raises:
         UsageError: the new folder cannot be made, or holds something.
     """
-    kept = Folder(out)
-    best = {one.run.name for cell in cells(folder, plan.grid) if (one := best_of(cell))}
     try:
         out.mkdir(parents=True, exist_ok=True)
         if any(out.iterdir()):
             raise UsageError(f"--out {out} is not empty; expected a new folder, or an empty one")
-        _copy(folder.path, out, _OF_THE_GRID)
-        for run in filter(folder.is_trained, plan.grid.runs):
-            _keep_run(run, folder.run(run), kept.run(run))
-            if run.name in best or not folder.is_evaluated(run, plan.grid.evaluate):
-                _keep_policy(folder.run(run) / "checkpoints", kept.run(run) / "checkpoints")
-        return write_report(kept, plan)
+        try:
+            return _fill(Folder(out), folder, plan)
+        except BaseException:  # a signal, too
+            _empty(out)
+            raise
     except OSError as error:
         raise UsageError(f"--out {out} cannot be written: {error}") from error
+
+
+def _fill(kept: Folder, folder: Folder, plan: Plan) -> Path:
+    best = {one.run.name for cell in cells(folder, plan.grid) if (one := best_of(cell))}
+    _copy(folder.path, kept.path, _OF_THE_GRID)
+    for run in filter(folder.is_trained, plan.grid.runs):
+        _keep_run(run, folder.run(run), kept.run(run))
+        if run.name in best or not folder.is_evaluated(run, plan.grid.evaluate):
+            _keep_policy(folder.run(run) / "checkpoints", kept.run(run) / "checkpoints")
+    return write_report(kept, plan)
+
+
+def _empty(folder: Path) -> None:
+    for path in folder.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 def _keep_run(run: Run, path: Path, kept: Path) -> None:

@@ -7,6 +7,7 @@ import sys
 
 import pytest
 
+from dppo.__main__ import _is_open_ended
 from tests.support import ROOT
 
 COMMAND = """
@@ -150,3 +151,15 @@ def test_a_command_that_delivers_something_does_not_end_as_if_it_had(started, nu
     out, err = child.communicate("\n", timeout=10)
     sentence = f"stopped by {number.name}; the result is not complete\n"
     assert (out, err, child.returncode) == ("tidy\n", sentence, 128 + number)
+
+
+@pytest.mark.parametrize(
+    ("words", "open_ended"),
+    [
+        ("watch runs/ant", True), ("experiment table2", True), ("experiment grid.toml", True),
+        ("experiment report runs/grid", False), ("experiment keep runs/grid --out a", False),
+        ("eval runs/ant", False), ("", False),
+    ],
+)  # fmt: skip
+def test_what_delivers_something_is_every_command_but_watching_and_a_grid(words, open_ended):
+    assert _is_open_ended(words.split()) == open_ended

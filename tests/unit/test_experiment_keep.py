@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from dppo.errors import UsageError
+from dppo.experiment import keep as keeping
 from dppo.experiment.best import best_of
 from dppo.experiment.folder import Folder
 from dppo.experiment.keep import keep
@@ -110,3 +111,21 @@ def test_a_run_that_is_still_to_be_evaluated_keeps_its_policy(tmp_path):
     keep(folder, plan, tmp_path / "kept")
     kept = {path.parents[1].name for path in tmp_path.glob("kept/runs/*/checkpoints/*")}
     assert kept == {run.name for run in grid.runs if run.seed == 2 or run.psi == 0}
+
+
+@pytest.mark.parametrize("cut", [KeyboardInterrupt, OSError("no space left")])
+def test_one_that_is_interrupted_leaves_an_empty_folder_and_can_be_made_again(
+    whole, tmp_path, monkeypatch, cut
+):
+    folder, _, _ = whole
+    plan = folder.read_plan()
+
+    def interrupted(*_args):
+        raise cut
+
+    monkeypatch.setattr(keeping, "write_report", interrupted)
+    with pytest.raises(KeyboardInterrupt if cut is KeyboardInterrupt else UsageError):
+        keep(folder, plan, tmp_path / "kept")
+    assert list((tmp_path / "kept").iterdir()) == []
+    monkeypatch.undo()
+    assert keep(folder, plan, tmp_path / "kept").exists()

@@ -1,4 +1,4 @@
-"""The recipes have the numbers of their sources (docs/algorithm.md, "Presets")."""
+"""The recipes have the numbers of their sources (docs/decisions/0013 and after)."""
 
 import json
 import math
