@@ -89,12 +89,12 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
         """
         actions = self._checked(actions)
         resting = self._ended if self._mode is AutoresetMode.NEXT_STEP else None
-        if resting is not None and resting.any():
+        if resting is not None and np.count_nonzero(resting):
             return self._step_some(actions, ~resting)
         judged, truncated = self._advance(actions, None)
         obs, infos = self._kind.observe(self._now), self._info(judged, None)
         self._ended = judged.terminated | truncated
-        if self._mode is AutoresetMode.SAME_STEP and self._ended.any():
+        if self._mode is AutoresetMode.SAME_STEP and np.count_nonzero(self._ended):
             infos = self._end(obs, judged)
             obs = self._kind.observe(self._now)
         reward = judged.reward.astype(np.float64, copy=False)
@@ -111,7 +111,10 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
             raise ValueError(
                 f"actions have shape {np.shape(actions)}, expected {self.action_space.shape}"
             )
-        if not self._begun.all() or (self._mode is AutoresetMode.DISABLED and self._ended.any()):
+        idle = self.num_envs - np.count_nonzero(self._begun)
+        if self._mode is AutoresetMode.DISABLED:
+            idle += np.count_nonzero(self._ended)
+        if idle:
             rows = np.flatnonzero(~self._begun | self._ended).tolist()
             raise gymnasium.error.ResetNeeded(
                 f"rows {rows} have no episode under way; call reset, with reset_mask for some rows"

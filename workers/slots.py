@@ -165,7 +165,7 @@ class _Record:
         self.reward[t] = step.reward
         self.discounted[t] = environments.discounted
         ended = step.terminated | step.truncated
-        if ended.any():
+        if np.count_nonzero(ended):  # a fifth of the time of `any`
             self.terminated[t] = step.terminated
             self.truncated[t] = step.truncated & ~step.terminated
             for row in np.flatnonzero(ended):

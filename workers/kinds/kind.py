@@ -80,6 +80,11 @@ def square_sum(values: Array) -> Array:
     return total
 
 
+def are_finite(values: Array) -> bool:
+    """All of them; counting takes a third of the time of `all`."""
+    return bool(np.count_nonzero(np.isfinite(values)) == values.size)
+
+
 def clipped(values: Float64, low: float, high: float) -> Float64:
     """np.clip without its overhead."""
     result: Float64 = np.minimum(np.maximum(values, low), high)

@@ -12,6 +12,7 @@ from workers.kinds.kind import (
     Judgement,
     Kind,
     State,
+    are_finite,
     body,
     clipped,
     motion,
@@ -71,8 +72,10 @@ class AntV4(Kind):
     def _healthy(self, now: State) -> NDArray[np.bool_]:
         low, high = self.env._healthy_z_range
         z = now["qpos"][:, 2]
-        finite = np.isfinite(now["qpos"]).all(axis=1) & np.isfinite(now["qvel"]).all(axis=1)
-        healthy: NDArray[np.bool_] = finite & (low <= z) & (z <= high)
+        healthy: NDArray[np.bool_] = (low <= z) & (z <= high)
+        for values in (now["qpos"], now["qvel"]):
+            if not are_finite(values):
+                healthy &= np.isfinite(values).all(axis=1)
         return healthy
 
     def _contact_forces(self, now: State) -> Float64:
