@@ -97,7 +97,7 @@ def _of_stochasticity(found: list[Row]) -> Iterator[Claim]:
         "After a time the variance in return mainly reflects the environment's stochasticity "
         "(discussion), which here is where an episode starts",
         "from one start, where nothing but the actions is random, returns have of the variance "
-        "from free starts: " + ", ".join(f"{env}{times(one, None)}" for env, one in means.items())
+        "from free starts: " + ", ".join(f"{env} {one:.2f}" for env, one in means.items())
         + (f"; together{_times(over)}" if over else ""),
         _of_share(over),
     )  # fmt: skip

@@ -88,7 +88,7 @@ def test_a_policy_is_more_deterministic_if_its_actions_spread_less_than_at_the_s
     ("fixed", "here", "judgement"),
     [
         # (s / 2)² = .9025 .81 .9025 .81; geometric mean .855
-        ((1.9, 1.8, 1.9, 1.8), "HalfCheetah-v4, 0.90 times, Hopper-v4, 0.81 times",
+        ((1.9, 1.8, 1.9, 1.8), "HalfCheetah-v4 0.90, Hopper-v4 0.81, ",
          "The claim does not hold here: most of it is the policy's own randomness."),
         ((0.4, 0.5, 0.4, 0.5), "together, 0.05 times",
          "The claim holds here: most of it comes with the start."),
