@@ -24,7 +24,6 @@ from dppo.wire.zenoh_links import ZenohWorkerLink, open_connecting
 from learner.exchange import Exchange
 from learner.local import free_address
 from learner.soundness import Expected
-from workers.core import Core
 
 Float32 = NDArray[np.float32]
 SPAWN = multiprocessing.get_context("spawn")
@@ -101,8 +100,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--name")
     parser.add_argument("--socket", nargs="+", type=int)
-    parser.add_argument("--core", type=int, default=-1)
     own = parser.parse_args()
-    Core(own.core)  # as a worker that the learner has started
     serve_puppet(own.name, SocketWorkerLink(own.socket, lambda: os._exit(0)), SIZE)
     os._exit(0)

@@ -130,7 +130,9 @@ def _lead(args: argparse.Namespace) -> None:
     steps = config.rollout.samples * (_WARM + args.iterations) * 10
     config = replace(config, run=replace(config.run, env=args.env, total_timesteps=steps))
     link = learner_link(free_address())
-    children = Pairs(link, args.workers, verbose=False, module="benchmarks.iteration")
+    children = Pairs(
+        link, args.workers, verbose=False, module="benchmarks.iteration", keeps_cores=True
+    )
     welcome = Welcome(run="iteration", generation=1, config=json.dumps(config.to_dict()))
     exchange = Exchange(link, welcome, Leases(args.slots), children.look_after)
     children.start()

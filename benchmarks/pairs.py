@@ -24,6 +24,8 @@ class Pairs(LocalWorkers):
     """The learner's own `LocalWorkers` with another module in place of `workers`."""
 
     module: str = ""
+    keeps_cores: bool = False
+    """As the learner's own do; not where others that do not are measured beside them."""
 
     def wait(self) -> None:
         """Until all have ended by themselves."""
@@ -31,7 +33,8 @@ class Pairs(LocalWorkers):
             child.process.wait(timeout=60)
 
     def _command(self, name: str, core: int, *descriptors: str) -> list[str]:
-        words = ("--name", name, "--core", str(core), "--socket", *descriptors)
+        own = ("--core", str(core)) if self.keeps_cores else ()
+        words = ("--name", name, *own, "--socket", *descriptors)
         return [sys.executable, "-m", self.module, *words]
 
 

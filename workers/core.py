@@ -13,7 +13,7 @@ _ALONE = 0.75
 """A thread that computes for this share of its work has the core to itself; beside another program
 it is half."""
 _FIRST_WAIT, _LONGEST_WAIT = 10.0, 600.0
-"""Before it tries again [s]."""
+"""Before it tries again; the first half of it at least [s]."""
 
 
 class Core:
@@ -22,6 +22,10 @@ class Core:
     The learner wakes up on whichever core is free, and a worker that is asked meanwhile goes to
     another one: workers change places again and again, each time to a cold cache. But beside
     another program one that cannot move is slower than one that can. Bits do not depend on it.
+
+    Only the thread that works is kept, and only from its second half second of work on: what it
+    has started until then, such as an environment's own threads, may use all cores. If somebody
+    else gives this thread other cores, it is left alone from then on.
     """
 
     def __init__(
@@ -30,7 +34,7 @@ class Core:
         clock: Callable[[], float] = time.monotonic,
         computed: Callable[[], float] = time.thread_time,
     ) -> None:
-        """Takes its core at once.
+        """Nothing is kept yet.
 
         Args:
             number: of the core among those that this process may use; -1: it may use all.
@@ -40,11 +44,11 @@ class Core:
         self._clock, self._computed = clock, computed
         self._all = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set[int]()
         self._own = set(sorted(self._all)[number : number + 1]) if number >= 0 else set[int]()
-        self._pauses, self._again = Backoff(_FIRST_WAIT, _LONGEST_WAIT), 0.0
+        self._pauses, self._again = Backoff(_FIRST_WAIT, _LONGEST_WAIT), clock()
+        self._keeps = False
         self._worked = self._alone = 0.0
         """Seconds since the last look: of work, and of these on a core."""
         self._begun = self._before = 0.0
-        self._keep(bool(self._own))
 
     def __enter__(self) -> None:
         """Work begins."""
@@ -68,7 +72,9 @@ class Core:
             self._keep(True)
 
     def _keep(self, keeps: bool) -> None:
+        if os.sched_getaffinity(0) != (self._own if self._keeps else self._all):
+            self._own = set()  # somebody else decides
+            return
         self._keeps = keeps
-        if self._own:
-            with contextlib.suppress(OSError):  # the cores were taken away meanwhile
-                os.sched_setaffinity(0, self._own if keeps else self._all)
+        with contextlib.suppress(OSError):  # the cores were taken away meanwhile
+            os.sched_setaffinity(0, self._own if keeps else self._all)

@@ -113,14 +113,15 @@ def policy_of(checkpoint: Checkpoint, env: str = "", env_kwargs: str = "") -> Fr
 
     Args:
         checkpoint: of the run.
-        env: Gymnasium id; empty: the run's.
-        env_kwargs: of the environment, as JSON; empty: the run's, or none with another `env`.
+        env: Gymnasium id of an environment of the same sizes; empty: the run's.
+        env_kwargs: of the environment, as JSON; empty: the run's, or none if it is another `env`.
 
     Raises:
         UsageError: the environment cannot be made, or is not of the policy's sizes.
     """
     trained = config_in(checkpoint).run
-    kwargs = env_kwargs or ("{}" if env else trained.env_kwargs)
+    is_another = env not in ("", trained.env)
+    kwargs = env_kwargs or ("{}" if is_another else trained.env_kwargs)
     run = replace(trained, env=env or trained.env, env_kwargs=kwargs)
     made = make_env(run)
     spaces = spaces_of(made)

@@ -111,10 +111,9 @@ class MujocoVec(VectorEnv[Any, Any, Any]):
             raise ValueError(
                 f"actions have shape {np.shape(actions)}, expected {self.action_space.shape}"
             )
-        idle = self.num_envs - np.count_nonzero(self._begun)
-        if self._mode is AutoresetMode.DISABLED:
-            idle += np.count_nonzero(self._ended)
-        if idle:
+        is_unbegun = np.count_nonzero(self._begun) < self.num_envs
+        is_manual = self._mode is AutoresetMode.DISABLED
+        if is_unbegun or (is_manual and np.count_nonzero(self._ended)):
             rows = np.flatnonzero(~self._begun | self._ended).tolist()
             raise gymnasium.error.ResetNeeded(
                 f"rows {rows} have no episode under way; call reset, with reset_mask for some rows"

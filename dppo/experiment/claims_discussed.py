@@ -8,38 +8,45 @@ import numpy as np
 
 from dppo.experiment.calibrated import OPEN, OUTSIDE, WITHIN
 from dppo.experiment.claim_rows import Claim, Row, judged, times
+from dppo.experiment.compare import KINDS
 from dppo.experiment.significance import SIGNIFICANT, Ratio, ratio_over
 from dppo.experiment.together import FEWEST
 from dppo.experiment.verdicts import Summary, of_ratio
 
+OF_SIGMA = "The variance of the λ-return is estimated directly, by temporal differences"
+"""Claims that begin so are of an interval per policy, not of one test."""
 _MAINLY = 0.5
 """Of a variance: more than half is most of it."""
 
 
 def discussed(found: list[Row]) -> Iterator[Claim]:
     """Claims about the policies with ψ = 0 and with the paper's ψ, taken together."""
-    yield from _of_trade(found)
+    for kind in KINDS:
+        yield from _of_trade(found, kind)
     yield from _of_determinism(found)
     yield from _of_stochasticity(found)
-    yield from _of_sigma(found)
+    yield from _of_sigma(found, "along", "along the way")
+    yield from _of_sigma(found, "start", "at the start, where equation 9 penalises it")
 
 
-def _of_trade(found: list[Row]) -> Iterator[Claim]:
+def _of_trade(found: list[Row], kind: str) -> Iterator[Claim]:
+    compared = [row.comparison.get("free", {}) for row in found]
     ratios = {
-        name: [_within(row).get(f"{name}_ratio") or 0.0 for row in found]
+        name: [one.get(kind, {}).get(f"{name}_ratio") or 0.0 for one in compared]
         for name in ("std", "mean")
     }
     if len(found) < FEWEST or min(map(min, ratios.values())) <= 0:
         return
+    if min(min(one["seeds"]) for one in compared) < 2:
+        return
     spread, mean = (ratio_over(np.array(ratios[name])) for name in ("std", "mean"))
     yield (
         "Constraining the variance leads to a trade-off between the mean and the variance of "
-        "returns (discussion)",
-        "of final policies, over all environments together: standard deviation"
+        f"returns (discussion): {kind} ones",
+        "of final policies from free starts, over all environments together: standard deviation"
         f"{_times(spread)}; mean{_times(mean)}",
-        _traded(*(of_ratio({"ratio": one.value, "interval": one.interval})
-                  for one in (spread, mean))),
-    )  # fmt: skip
+        _traded(*(of_ratio({"interval": one.interval}) for one in (spread, mean))),
+    )
 
 
 def _traded(spread: str, mean: str) -> str:
@@ -48,12 +55,6 @@ def _traded(spread: str, mean: str) -> str:
     if mean == "lower":
         return "The claim holds here: both are lower."
     return f"No trade-off shows here: the spread is lower; mean: {mean}."
-
-
-def _within(row: Row) -> Summary:
-    """Of one policy's episodes from free starts."""
-    of: Summary = row.comparison.get("free", {}).get("undiscounted", {})
-    return of
 
 
 def _of_determinism(found: list[Row]) -> Iterator[Claim]:
@@ -67,13 +68,14 @@ def _of_determinism(found: list[Row]) -> Iterator[Claim]:
         ]
         if pairs:
             ends, starts = np.mean(pairs, axis=0)
-            lower, total = lower + sum(end < start for end, start in pairs), total + len(pairs)
+            lower += sum(end < start for end, start in pairs)
+            total += sum(end != start for end, start in pairs)
             parts.append(f"{row.env} {ends:.2f} ({starts:.2f})")
     if parts:
         yield (
             "Improvement leads the policy towards a deterministic nature (discussion)",
             "standard deviation of actions, mean over dimensions, at the end (at the start): "
-            f"{', '.join(parts)}; lower for {lower} of {total} policies",
+            f"{', '.join(parts)}; lower for {lower} of the {total} policies that have changed it",
             judged(_of_signs(lower, total), "lower"),
         )
 
@@ -92,15 +94,16 @@ def _of_stochasticity(found: list[Row]) -> Iterator[Claim]:
     if not shares:
         return
     means = {env: float(np.exp(np.mean(np.log(one)))) for env, one in shares.items()}
+    listed = ", ".join(f"{env} {one:.2f}" for env, one in means.items())
     over = ratio_over(np.array([*means.values()])) if len(means) >= FEWEST else None
     yield (
         "After a time the variance in return mainly reflects the environment's stochasticity "
         "(discussion), which here is where an episode starts",
-        "from one start, where nothing but the actions is random, returns have of the variance "
-        "from free starts: " + ", ".join(f"{env} {one:.2f}" for env, one in means.items())
+        "from one start, the same for all policies, where nothing but the actions is random, "
+        f"returns have of the variance from free starts: {listed}"
         + (f"; together{_times(over)}" if over else ""),
         _of_share(over),
-    )  # fmt: skip
+    )
 
 
 def _shares_of_the_policy(row: Row) -> list[float]:
@@ -131,17 +134,17 @@ def _of_share(over: Ratio | None) -> str:
     return "Not decided: on either side of a half."
 
 
-def _of_sigma(found: list[Row]) -> Iterator[Claim]:
-    along: list[dict[str, Any]] = [
-        one["along"]
+def _of_sigma(found: list[Row], part: str, where: str) -> Iterator[Claim]:
+    ones: list[dict[str, Any]] = [
+        one[part]
         for row in found
         for arm in (row.plain, row.safe)
-        if "verdicts" in (one := arm.get("calibration") or {}).get("along", {})
+        if "verdicts" in (one := arm.get("calibration") or {}).get(part, {})
     ]
-    if not along:
+    if not ones:
         return
-    ratios = [ratio for one in along for ratio in one["by_seed"]]
-    verdicts = [verdict for one in along for verdict in one["verdicts"]]
+    ratios = [ratio for one in ones for ratio in one["by_seed"]]
+    verdicts = [verdict for one in ones for verdict in one["verdicts"]]
     within, outside, still_open = (verdicts.count(verdict) for verdict in (WITHIN, OUTSIDE, OPEN))
     if within == len(verdicts):
         judgement = "The claim holds here, within 25 %."
@@ -150,11 +153,10 @@ def _of_sigma(found: list[Row]) -> Iterator[Claim]:
     else:
         judgement = f"Not decided within 25 % for {still_open} of {len(verdicts)} policies."
     yield (
-        "The variance of the λ-return is estimated directly, by temporal differences (abstract, "
-        "equation 8)",
-        f"predicted over empirical standard deviation along the way {min(ratios):.2f} to "
-        f"{max(ratios):.2f}, median {np.median(ratios):.2f}; by their intervals {within} of "
-        f"{len(verdicts)} policies are within 25 %, {outside} outside, {still_open} open",
+        f"{OF_SIGMA} (abstract, equation 8): {where}",
+        f"predicted over empirical standard deviation {min(ratios):.2f} to {max(ratios):.2f}, "
+        f"median {np.median(ratios):.2f}; by their intervals {within} of {len(verdicts)} policies "
+        f"are within 25 %, {outside} outside, {still_open} open",
         judgement,
     )
 

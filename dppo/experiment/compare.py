@@ -1,10 +1,10 @@
 """The figures of an arm on an environment, and of the arm against the baseline."""
 
-import math
 from typing import Any
 
 import numpy as np
 
+from dppo.distributions import mean_std
 from dppo.experiment.best import best_seed
 from dppo.experiment.calibrated import calibration
 from dppo.experiment.measure import STARTS, Cell
@@ -112,7 +112,7 @@ def action_std(cell: Cell) -> dict[str, Any] | None:
     """Of final policies, mean over dimensions, and at the start; None: of none that is known."""
     found = [one.evaluation.get("settings", {}).get("action_std") for one in cell.finished]
     stds = [float(std) for std in found if std is not None]
-    start = math.exp(cell.runs[0].config.network.log_std_init)
+    start = mean_std(np.array([cell.runs[0].config.network.log_std_init], np.float32))
     return {"start": start, "by_seed": stds} if stds else None
 
 

@@ -1,5 +1,8 @@
 """The report's explanations of its tables."""
 
+from collections.abc import Sequence
+
+from dppo.experiment.claims_discussed import OF_SIGMA
 from dppo.experiment.compare import LAST
 from dppo.experiment.results import Results
 from dppo.experiment.significance import LEAST_FOR_SPREAD, power_of_brown_forsythe
@@ -94,18 +97,19 @@ def _short_runs(results: Results) -> str:
     return f" Some runs have only {fewest} training episodes in all." if fewest < 200 else ""
 
 
-def claims(results: Results, judged: int) -> str:
-    """How these runs differ from the paper's, and what `judged` claims are worth."""
+def claims(results: Results, found: Sequence[str]) -> str:
+    """How these runs differ from the paper's, and what judgements of its claims are worth."""
+    judged = sum(not claim.startswith(OF_SIGMA) for claim in found)
     other = results["unlike_the_paper"]
     return (
         "Not the paper's experiment again, but its question: other versions of the environments, "
         "of MuJoCo and of the trainer. Settings that are not those of `--preset paper` on "
         f"{other['env']}: {', '.join(other['settings']) or 'none'}. The paper does not say how "
         "its ± was taken; the mean of each seed's last 200 episodes, and the standard deviation "
-        "of those means, is what its words say. Each claim is judged on its own, at 5 %: of "
-        f"{judged} that say nothing true, up to {0.05 * judged:.2g} would be judged one way or "
-        "the other, and reports of a growing grid, looked at again and again, err more often. The "
-        "paper's batches are whole episodes; here slots have a fixed number of steps."
+        "of those means, is what its words say. Each claim, but those of σ, is judged on its own, "
+        f"at 5 %: of {judged} that say nothing true, up to {0.05 * judged:.2g} would be judged "
+        "one way or the other, and reports of a growing grid, looked at again and again, err more "
+        "often. The paper's batches are whole episodes; here slots have a fixed number of steps."
     )
 
 

@@ -90,7 +90,7 @@ def _blocks(results: Results, pictures: Sequence[tuple[str, str]]) -> Iterator[B
         yield Heading("The paper's claims")
         table = claims_table(results)
         yield table
-        yield Paragraph(how_to_read.claims(results, len(table.rows)))
+        yield Paragraph(how_to_read.claims(results, [claim for claim, *_ in table.rows]))
     yield Heading("Every arm: training returns")
     yield all_arms(results)
     yield Paragraph(how_to_read.training(results))

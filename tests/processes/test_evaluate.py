@@ -131,6 +131,16 @@ def test_dppo_eval_plays_elsewhere(harness, run_dir):
     policy = policy_of(newest(run_dir), env, kwargs)
     found = evaluate(policy, episodes=2, deterministic=False, seed=0)
     assert [one["return"] for one in printed["episodes"]] == [one.total for one in found.episodes]
+    told = harness.start("dppo", "eval", str(run_dir), *words)
+    assert told.wait() == 0, told.text
+    assert told.text.startswith(f"{env} {kwargs} (trained on Hopper-v5), iteration-")
+
+
+def test_the_runs_own_environment_keeps_its_keyword_arguments(runs):
+    checkpoint = newest(runs("InvertedPendulum-v5", "--env-kwargs", '{"reset_noise_scale": 0.02}'))
+    for words in ((), ("InvertedPendulum-v5",)):
+        assert policy_of(checkpoint, *words).config.run.env_kwargs == '{"reset_noise_scale": 0.02}'
+    assert policy_of(checkpoint, "InvertedPendulum-v4").config.run.env_kwargs == "{}"
 
 
 def test_a_failing_environment_ends_the_evaluation_with_its_reset_seed(runs):
@@ -304,7 +314,7 @@ def test_dppo_checkpoint_shows_hashes_and_contents(harness, run_dir):
         (["eval", "{run}", "--env-kwargs", "3"], "--env-kwargs is '3', expected a JSON object"),
         (
             ["eval", "{run}", "--env", "Hopper-v4", "--calibration"],
-            "--env is Hopper-v4, expected the run's own with --calibration",
+            "--env is Hopper-v4, expected nothing with --calibration",
         ),
         (["train"], "found train, expected eval, export, video, watch, checkpoint, replay"),
         ([], "found nothing, expected eval, export, video, watch, checkpoint, replay"),

@@ -1,5 +1,6 @@
 """The learner's own workers: what hangs, cannot start, or is left over."""
 
+import contextlib
 import errno
 import os
 import signal
@@ -11,9 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from dppo.process import own_program, usable_cores
+from dppo.process import own_program
 from dppo.wire.memory_links import MemoryHub
-from dppo.wire.messages import Hello
 from dppo.wire.socket_links import Alarm, SocketLearnerLink
 from learner import local
 from learner.local import LocalWorkers
@@ -50,29 +50,17 @@ def open_files():
     return len(list(Path("/proc/self/fd").iterdir()))
 
 
-@pytest.mark.skipif(usable_cores() < 2, reason="needs two cores")
-@pytest.mark.parametrize("few", [False, True])
-def test_each_keeps_to_a_core_where_there_are_as_many_as_cores(few):
-    count = usable_cores() - few
-    link, said = SocketLearnerLink(MemoryHub().learner(), Alarm()), set()
+@pytest.mark.parametrize(
+    ("count", "cores", "own"),
+    [(2, 2, [0, 1]), (3, 3, [0, 1, 2]), (2, 3, [-1, -1]), (3, 2, [-1, -1, -1]), (1, 1, [-1])],
+)
+def test_each_has_a_core_of_its_own_where_there_are_as_many_as_cores(
+    monkeypatch, count, cores, own
+):
+    monkeypatch.setattr(local, "usable_cores", lambda: cores)
+    link = SocketLearnerLink(MemoryHub().learner(), Alarm())
     workers = LocalWorkers(link, count=count, verbose=False)
-
-    def all_have_said_hello():
-        if isinstance(event := link.receive(0.05), Hello):
-            said.add(event.worker)
-        return len(said) == count
-
-    try:
-        workers.start()
-        wait_until(all_have_said_hello, "all Hellos")
-        kept = [os.sched_getaffinity(pid) for pid in pids(workers)]
-    finally:
-        workers.end()
-    cores = os.sched_getaffinity(0)
-    if few:
-        assert kept == [cores] * count
-    else:
-        assert sorted(map(sorted, kept)) == [[core] for core in sorted(cores)]
+    assert [workers._core(index) for index in range(count)] == own
 
 
 def test_one_that_stops_before_it_has_joined_is_replaced(workers, caplog):
@@ -148,6 +136,26 @@ def test_without_a_number_there_is_one_worker_per_core_and_at_most_one_per_slot(
     wait_until(lambda: iterations(run_dir) >= 1, "an iteration")
     assert len(descendants(learner.popen.pid)) == workers
     assert f"; {workers} local workers; " in learner.text
+
+
+def test_workers_that_work_keep_to_their_cores(harness, on_cores):
+    """Each for half a second of work at least: beside something else it may let go again."""
+    on_cores(2)
+    endless = ("--env", "CartPole-v1", *SMALL, "--total-timesteps", "100000000")
+    learner = harness.learner(*endless, run_dir=harness.folder / "run")
+    seen = set()
+
+    def all_were_seen_on_one():
+        for pid in descendants(learner.popen.pid):
+            with contextlib.suppress(OSError):
+                seen.add((pid, frozenset(os.sched_getaffinity(pid))))
+        return {cores for _, cores in seen if len(cores) == 1} == {
+            frozenset([core]) for core in os.sched_getaffinity(0)
+        }
+
+    wait_until(all_were_seen_on_one, "each worker on a core of its own")
+    for pid in {pid for pid, _ in seen}:
+        assert len([cores for one, cores in seen if one == pid and len(cores) == 1]) <= 1
 
 
 def test_a_worker_that_holds_the_interpreter_or_is_stopped_dies_with_its_learner():

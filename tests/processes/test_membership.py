@@ -11,8 +11,9 @@ import pytest
 from dppo.backoff import Backoff
 from dppo.config import Config, RunConfig
 from dppo.wire.memory_links import MemoryHub
-from dppo.wire.messages import Failure, Hello, Ready, Stop, Update, Welcome
+from dppo.wire.messages import Failure, Hello, Ready, Restore, Stop, Update, Welcome
 from workers import membership
+from workers.core import Core
 from workers.membership import LearnerAbsentError, Member, wait_for
 
 PATIENCE = 20.0
@@ -36,10 +37,10 @@ def update(generation):
 class Meeting:
     """A member, and the test in the learner's place."""
 
-    def __init__(self, patience=PATIENCE):
+    def __init__(self, patience=PATIENCE, core=None):
         hub = MemoryHub()
         self.learner = hub.learner()
-        self.member = Member("w1", hub.worker("w1"), patience)
+        self.member = Member("w1", hub.worker("w1"), patience, core)
 
     def says(self, *messages):
         """Put what the learner says into the member's queue."""
@@ -105,6 +106,27 @@ def test_a_member_that_is_asked_for_what_it_does_not_have_joins_anew():
     meeting.says(welcome(), update(generation=1), welcome(), END)
     assert meeting.member.live() == END
     assert meeting.kinds() == [Hello, Ready] * 2
+
+
+class CountingCore(Core):
+    """How often work began and was done."""
+
+    begun = done = 0
+
+    def __enter__(self):
+        self.begun += 1
+
+    def __exit__(self, *_error):
+        self.done += 1
+
+
+def test_tasks_are_done_on_the_workers_core_and_nothing_else_is():
+    core = CountingCore()
+    meeting = Meeting(core=core)
+    restore = Restore(generation=2, iteration=0, slot=0, snapshot=b"")
+    meeting.says(welcome(1), update(1), welcome(2), restore, restore, update(1), END)
+    assert meeting.member.live() == END
+    assert (core.begun, core.done) == (3, 3)  # the last is a task of an older learner
 
 
 def test_a_task_of_an_older_learner_is_ignored():

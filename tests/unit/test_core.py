@@ -1,18 +1,27 @@
 """A worker keeps to its core while it has that to itself, and only then."""
 
 import os
+import threading
+import time
 from itertools import pairwise
 
 import pytest
 
+from dppo.process import usable_cores
+from workers import core as module
 from workers.core import Core
+
+ALL = {2, 5, 7}
 
 
 class Time:
     """A clock, and a thread that gets a share of it."""
 
     def __init__(self):
-        self.now, self.computed, self.share = 0.0, 0.0, 1.0
+        self.now, self.computed, self.share = 100.0, 0.0, 1.0
+
+    def core(self, number):
+        return Core(number, lambda: self.now, lambda: self.computed)
 
     def work(self, core, seconds):
         with core:
@@ -22,67 +31,100 @@ class Time:
 
 @pytest.fixture
 def moves(monkeypatch):
-    """Where the thread was put, in order; it may use cores 2, 5 and 7."""
-    found = []
-    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {7, 2, 5} if pid == 0 else None)
-    monkeypatch.setattr(os, "sched_setaffinity", lambda pid, cores: found.append((pid, cores)))
+    """Where the thread was put, in order; at first it may use cores 2, 5 and 7."""
+    found: list[set[int]] = []
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: found[-1] if found else ALL)
+    monkeypatch.setattr(os, "sched_setaffinity", lambda _, cores: found.append(cores))
     return found
 
 
-def test_it_takes_its_core_at_once_and_stays(moves):
-    time = Time()
-    core = Core(1, lambda: time.now, lambda: time.computed)
+def test_it_takes_its_core_after_half_a_second_of_work_and_stays(moves):
+    time_ = Time()
+    core = time_.core(1)
+    for _ in range(4):
+        time_.work(core, 0.12)
+    assert moves == []
     for _ in range(100):
-        time.work(core, 0.2)
-    assert moves == [(0, {5})]
+        time_.work(core, 0.12)
+    assert moves == [{5}]
 
 
-def test_it_leaves_a_core_that_somebody_else_wants_and_comes_back_when_that_is_over(moves):
-    time = Time()
-    core = Core(2, lambda: time.now, lambda: time.computed)
-    time.share = 0.5
-    time.work(core, 0.4)
-    assert moves == [(0, {7})]  # too short to tell
-    time.work(core, 0.2)
-    assert moves[1:] == [(0, {2, 5, 7})]
-    time.share = 1.0
-    time.work(core, 4.0)
+@pytest.mark.parametrize(("share", "leaves"), [(0.7, True), (0.8, False)])
+def test_it_leaves_a_core_of_which_it_gets_less_than_three_quarters(moves, share, leaves):
+    time_ = Time()
+    core = time_.core(2)
+    time_.work(core, 0.5)
+    time_.share = share
+    time_.work(core, 0.48)
+    assert moves == [{7}]  # too short to tell
+    time_.work(core, 0.02)
+    assert moves[1:] == [ALL] * leaves
+
+
+def test_it_comes_back_when_somebody_else_is_gone(moves):
+    time_ = Time()
+    core = time_.core(0)
+    time_.work(core, 0.5)
+    time_.share = 0.5
+    time_.work(core, 0.5)
+    assert moves == [{2}, ALL]
+    time_.share = 1.0
+    time_.work(core, 4.0)
     assert len(moves) == 2  # it waits five seconds at least
-    time.work(core, 7.0)
-    assert moves[2:] == [(0, {7})]
+    time_.work(core, 7.0)
+    assert moves[2:] == [{2}]
 
 
-def test_it_tries_less_and_less_often_while_somebody_is_there(moves):
-    time = Time()
-    core = Core(0, lambda: time.now, lambda: time.computed)
-    tries = []
-    for _ in range(10_000):
+def waits_beside_another(time_, core, moves, count):
+    """So many times between tries, while somebody is on the core."""
+    tries: list[float] = []
+    while len(tries) <= count:
         before = len(moves)
-        time.share = 0.5 if moves[-1] == (0, {2}) else 0.9
-        time.work(core, 0.5)
-        if len(moves) > before and moves[-1] == (0, {2}):
-            tries.append(time.now)
-    waits = [later - earlier for earlier, later in pairwise(tries)]
-    assert 4 < tries[0] < 11
-    assert all(200 < wait < 605 for wait in waits[8:])
-    assert waits[0] < 25
+        time_.share = 0.5 if moves[-1:] == [{2}] else 0.9
+        time_.work(core, 0.5)
+        if len(moves) > before and moves[-1] == {2}:
+            tries.append(time_.now)
+    return [later - earlier for earlier, later in pairwise(tries)]
+
+
+def test_it_tries_less_and_less_often_while_somebody_is_there_and_forgets_that_when_alone(moves):
+    time_ = Time()
+    core = time_.core(0)
+    waits = waits_beside_another(time_, core, moves, 12)
+    assert waits[0] < 12
+    assert all(299 < wait < 605 for wait in waits[8:])
+    time_.share = 1.0
+    time_.work(core, 0.5)
+    assert waits_beside_another(time_, core, moves, 2)[0] < 22
 
 
 def test_work_is_counted_and_waiting_is_not(moves):
-    time = Time()
-    core = Core(0, lambda: time.now, lambda: time.computed)
-    for _ in range(10):
-        time.work(core, 0.1)
-        time.now += 5.0  # for the learner
-    assert moves == [(0, {2})]
+    time_ = Time()
+    core = time_.core(0)
+    for _ in range(20):
+        time_.work(core, 0.1)
+        time_.now += 5.0  # for the learner
+    assert moves == [{2}]
+
+
+def test_whom_somebody_else_has_moved_is_left_alone(moves):
+    time_ = Time()
+    core = time_.core(0)
+    time_.work(core, 0.5)
+    moves.append({5})  # taskset
+    time_.share = 0.5
+    for _ in range(100):
+        time_.work(core, 1.0)
+    assert moves == [{2}, {5}]
 
 
 @pytest.mark.parametrize("number", [-1, 3])
 def test_without_a_core_of_its_own_it_goes_anywhere(moves, number):
-    time = Time()
-    core = Core(number, lambda: time.now, lambda: time.computed)
-    time.share = 0.1
-    time.work(core, 10.0)
+    time_ = Time()
+    core = time_.core(number)
+    time_.work(core, 10.0)
+    time_.share = 0.1
+    time_.work(core, 10.0)
     assert moves == []
 
 
@@ -91,12 +133,37 @@ def test_cores_that_are_taken_away_meanwhile_do_not_matter(moves, monkeypatch):
         raise OSError(22, "Invalid argument")
 
     monkeypatch.setattr(os, "sched_setaffinity", refuse)
-    with Core(0):
-        pass
+    time_ = Time()
+    core = time_.core(0)
+    time_.work(core, 1.0)
+    time_.work(core, 1.0)
+    assert moves == []
 
 
 def test_without_affinities_nothing_is_kept(monkeypatch):
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     monkeypatch.delattr(os, "sched_setaffinity", raising=False)
-    with Core(0):
-        pass
+    time_ = Time()
+    time_.work(time_.core(0), 1.0)
+
+
+@pytest.mark.skipif(usable_cores() < 2, reason="needs two cores")
+def test_it_counts_what_its_own_thread_computes(monkeypatch):
+    """Another thread is busy while this one sleeps: it does not have the core to itself."""
+    before, stop = os.sched_getaffinity(0), threading.Event()
+    busy = threading.Thread(target=lambda: [None for _ in iter(stop.is_set, True)])
+    core = Core(0)
+    try:
+        monkeypatch.setattr(module, "_LOOK_SECONDS", 0.0)
+        with core:
+            sum(range(200_000))
+        assert os.sched_getaffinity(0) == {min(before)}
+        busy.start()
+        with core:
+            time.sleep(0.1)
+        assert os.sched_getaffinity(0) == before
+    finally:
+        stop.set()
+        os.sched_setaffinity(0, before)
+        if busy.is_alive():
+            busy.join()

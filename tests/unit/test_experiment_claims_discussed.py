@@ -2,7 +2,9 @@
 
 import pytest
 
+from dppo.experiment.claim_rows import rows
 from dppo.experiment.claims import claims
+from dppo.experiment.claims_discussed import discussed
 from dppo.experiment.table2 import ENVIRONMENTS
 from tests.experiment_results import results_of
 
@@ -22,6 +24,15 @@ def everywhere():
     return results_of({env: {} for env in ENVIRONMENTS})
 
 
+def traded(results, kind, spreads, means):
+    """With these ratios of final policies' returns of one kind."""
+    for spread, mean, one in zip(spreads, means, results["environments"].values(), strict=True):
+        free = one["arms"]["psi-paper"]["against_baseline"]["free"]
+        free[kind] = free.get(kind, {}) | {"std_ratio": spread, "mean_ratio": mean}
+    return results
+
+
+@pytest.mark.parametrize("kind", ["undiscounted", "discounted"])
 @pytest.mark.parametrize(
     ("spreads", "means", "here", "judgement"),
     [
@@ -40,36 +51,40 @@ def everywhere():
          "Not decided: no difference that these environments show together."),
     ],
 )  # fmt: skip
-def test_a_trade_off_is_a_lower_spread_at_a_lower_mean(spreads, means, here, judgement):
-    results = everywhere()
-    for spread, mean, one in zip(spreads, means, results["environments"].values(), strict=True):
-        free = one["arms"]["psi-paper"]["against_baseline"]["free"]["undiscounted"]
-        free |= {"std_ratio": spread, "mean_ratio": mean}
-    found = said("trade-off", results)
+def test_a_trade_off_is_a_lower_spread_at_a_lower_mean(kind, spreads, means, here, judgement):
+    results = traded(everywhere(), kind, spreads, means)
+    found = said(f"trade-off between the mean and the variance of returns (discussion): {kind}",
+                 results)  # fmt: skip
     assert here in found[0]
     assert found[1] == judgement
 
 
-def test_no_trade_off_is_looked_for_on_two_environments_or_without_a_ratio():
-    results = results_of({"Ant-v4": {}, "Hopper-v4": {}})
-    assert said("trade-off", results) is None
-    results = everywhere()
-    against = results["environments"]["Ant-v4"]["arms"]["psi-paper"]["against_baseline"]
-    del against["free"]["undiscounted"]["mean_ratio"]  # a mean was not above 0
-    assert said("trade-off", results) is None
+def test_no_trade_off_is_looked_for_on_two_environments_of_one_seed_or_without_a_ratio():
+    assert said("trade-off", results_of({"Ant-v4": {}, "Hopper-v4": {}})) is None
+    lower = ((0.5, 0.4, 0.6, 0.5), (0.9, 0.8, 0.85, 0.9))
+    for spoil in ({"seeds": [1, 5]}, {"undiscounted": {"std_ratio": 0.5}}):  # a mean below 0
+        results = traded(everywhere(), "undiscounted", *lower)
+        against = results["environments"]["Ant-v4"]["arms"]["psi-paper"]["against_baseline"]
+        against["free"] |= spoil
+        found = [one for one in discussed(list(rows(results))) if "trade-off" in one[0]]
+        assert found == []
 
 
 @pytest.mark.parametrize(
     ("ends", "here", "judgement"),
     [
         # six of six by chance: 2 / 2⁶ = .031; five of five .0625; seven of eight .070; one of 6
-        ((0.1, 0.2, 0.3), "Ant-v4 0.20 (0.37); lower for 6 of 6 policies",
+        ((0.1, 0.2, 0.3), "Ant-v4 0.20 (0.37); lower for 6 of the 6 policies",
          "The claim holds here: lower."),
-        ((0.5, 0.6, 0.7), "Ant-v4 0.60 (0.37); lower for 0 of 6 policies",
+        ((0.5, 0.6, 0.7), "Ant-v4 0.60 (0.37); lower for 0 of the 6 policies",
          "The claim does not hold here: higher."),
-        ((0.1, 0.2, 0.5), "lower for 4 of 6 policies",
+        ((0.1, 0.2, 0.5), "lower for 4 of the 6 policies",
          "Not decided: no difference that 6 policies can show."),
-        ((0.1, 0.2), "lower for 4 of 4 policies",
+        ((0.37, 0.37), "lower for 0 of the 0 policies",
+         "Not decided: no difference that 0 policies can show."),
+        ((0.1, 0.2, 0.3, 0.37), "lower for 6 of the 6 policies",
+         "The claim holds here: lower."),
+        ((0.1, 0.2), "lower for 4 of the 4 policies",
          "Not decided: no difference that 4 policies can show."),
     ],
 )  # fmt: skip
@@ -111,7 +126,7 @@ def test_what_is_left_from_one_start_is_the_policys_own_randomness(fixed, here, 
 
 
 def test_policies_without_spread_or_without_episodes_from_one_start_say_nothing_of_its_source():
-    assert said("stochasticity", everywhere()) is None
+    assert said("stochasticity", everywhere()) is None  # nothing was played from one start
     results = results_of({"Ant-v4": {}})
     for arm in arms_of(results):
         stds = {"undiscounted": {"std_by_seed": [0.0, 1.0]}}
@@ -119,6 +134,9 @@ def test_policies_without_spread_or_without_episodes_from_one_start_say_nothing_
     assert said("stochasticity", results) is None
 
 
+@pytest.mark.parametrize(
+    ("part", "where"), [("along", "along the way"), ("start", "at the start")]
+)
 @pytest.mark.parametrize(
     ("verdicts", "here", "judgement"),
     [
@@ -131,14 +149,14 @@ def test_policies_without_spread_or_without_episodes_from_one_start_say_nothing_
     ],
 )  # fmt: skip
 def test_sigma_is_the_variance_if_no_policy_is_off_by_more_than_the_goal(
-    verdicts, here, judgement
+    part, where, verdicts, here, judgement
 ):
     results = results_of({"Ant-v4": {}})
     for arm, ratios in zip(arms_of(results), ([1.2, 0.9], [1.1, 0.8]), strict=True):
-        arm["calibration"] = {"along": {"by_seed": ratios, "verdicts": verdicts}}
-    found = said("equation 8", results)
+        arm["calibration"] = {part: {"by_seed": ratios, "verdicts": verdicts}}
+    found = said(f"equation 8): {where}", results)
     assert found[0].startswith(
-        "predicted over empirical standard deviation along the way 0.80 to 1.20, median 1.00; "
+        "predicted over empirical standard deviation 0.80 to 1.20, median 1.00; "
     )
     assert here in found[0]
     assert found[1] == judgement

@@ -30,9 +30,9 @@ class EvalArgs:
     deterministic: bool = False
     """Take the most likely action instead of sampling."""
     env: str = ""
-    """Another environment than the run's, with the same spaces: is the policy good there, too?"""
+    """Another environment than the run's, of the same sizes: is the policy good there, too?"""
     env_kwargs: str = ""
-    """Its keyword arguments, as JSON; by default the run's, or with --env none."""
+    """Its keyword arguments, as JSON; by default the run's, or in another environment none."""
     which: str = "best"
     """best, newest, or a checkpoint's name such as iteration-00000040."""
     seed: int = 0
@@ -65,7 +65,7 @@ class EvalArgs:
             not (self.calibration and (self.env or self.env_kwargs)),
             "env" if self.env else "env_kwargs",
             self.env or repr(self.env_kwargs),
-            "the run's own with --calibration: sigma is of the returns there",
+            "nothing with --calibration: sigma is of the returns in the run's environment",
         )
         require(self.max_steps >= 0, "max_steps", self.max_steps, ">= 0")
         require(0 <= self.seed < 2**63, "seed", self.seed, "0 <= seed < 2**63")
@@ -73,7 +73,7 @@ class EvalArgs:
 
 def run(args: EvalArgs) -> int:
     """Play, and print."""
-    from dppo.store.contents import chosen
+    from dppo.store.contents import chosen, config_in
     from workers.envs import quiet
     from workers.evaluate import evaluate, policy_of
 
@@ -111,12 +111,24 @@ def run(args: EvalArgs) -> int:
         return 0
     cut = f", episodes cut after {args.max_steps} steps" if args.max_steps else ""
     print(
-        f"{facts['env']}, {path.name}, {facts['env_steps']:,} steps, {facts['actions']} actions, "
-        f"gamma {facts['gamma']:g}{cut}"
+        f"{_where(policy, config_in(checkpoint).run)}, {path.name}, {facts['env_steps']:,} steps, "
+        f"{facts['actions']} actions, gamma {facts['gamma']:g}{cut}"
     )
     for line in result.lines() + ([] if calibration is None else _table(calibration)):
         print(line)
     return 0
+
+
+def _where(policy: "FrozenPolicy", trained: RunConfig) -> str:
+    """The environment, and the run's if it is another one."""
+    here = policy.config.run
+    if here == trained:
+        return here.env
+    one, other = (
+        run.env + ("" if run.env_kwargs == "{}" else f" {run.env_kwargs}")
+        for run in (here, trained)
+    )
+    return f"{one} (trained on {other})"
 
 
 def _calibrator(policy: "FrozenPolicy", max_steps: int) -> "Calibrator":
