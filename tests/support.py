@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dppo.store.checkpoint import Checkpoint, load_checkpoint
+
 ROOT = Path(__file__).parents[1]
 DEADLINE = 120.0
 """Longest wait for one fact [s]; only a broken run takes it."""
@@ -103,6 +105,10 @@ def iterations(run_dir: Path) -> int:
 
 def checkpoints(run_dir: Path) -> list[str]:
     return sorted(path.name for path in (run_dir / "checkpoints").glob("iteration-*"))
+
+
+def newest_checkpoint(run_dir: Path) -> Checkpoint:
+    return load_checkpoint(run_dir / "checkpoints" / checkpoints(run_dir)[-1])
 
 
 def descendants(pid: int) -> list[int]:

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from dppo.config import Config
 from dppo.streams import reset_seed
 from workers.envs import Adapter, Vec, name_of, training_vec
-from workers.failures import EnvironmentFailedError, RowFailedError
+from workers.failures import EnvironmentFailedError, RowFailedError, odd_row
 from workers.heart import beat
-from workers.kinds.kind import are_finite
 from workers.snapshots import Arrays
 
 log = logging.getLogger("worker")
@@ -146,10 +145,9 @@ class Episodes:
         return np.asarray(found, np.float64).reshape(len(self._rows), -1)
 
     def _check(self, obs: Float64, reward: Float64) -> None:
-        if are_finite(obs) and are_finite(reward):
+        row = odd_row(obs, reward)
+        if row is None:
             return
-        finite = np.isfinite(obs).all(axis=1) & np.isfinite(reward)
-        row = int(np.flatnonzero(~finite)[0])
         what = "reward" if not np.isfinite(reward[row]) else f"observation {obs[row].tolist()}"
         raise self._failed(row, f"returned a {what} that is not finite (reward {reward[row]})")
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dppo.errors import RunFailedError
 from dppo.streams import reset_seed, stream
 from workers.envs import Adapter, name_of, training_vec
-from workers.failures import RowFailedError, failed_episode
+from workers.failures import RowFailedError, failed_episode, odd_row
 from workers.policy import FrozenPolicy
 
 log = logging.getLogger("evaluation")
@@ -240,9 +240,8 @@ class _Stage:
 
     def _check(self, reward: Float64) -> None:
         """What is not finite is somebody's mistake, not a return."""
-        finite = np.isfinite(self.obs).all(axis=1) & np.isfinite(reward)
-        if not finite.all():
-            row = int(np.flatnonzero(~finite)[0])
+        row = odd_row(self.obs, reward)
+        if row is not None:
             raise RowFailedError(row, "returned an observation or a reward that is not finite")
 
     def failure(self, row: int, what: str) -> RunFailedError:

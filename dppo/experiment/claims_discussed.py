@@ -8,9 +8,8 @@ import numpy as np
 
 from dppo.experiment.calibrated import OPEN, OUTSIDE, WITHIN
 from dppo.experiment.claim_rows import Claim, Row, judged, times
-from dppo.experiment.compare import KINDS
 from dppo.experiment.significance import SIGNIFICANT, Ratio, ratio_over
-from dppo.experiment.together import FEWEST
+from dppo.experiment.together import FEWEST, WITHIN_POLICIES, measures
 from dppo.experiment.verdicts import Summary, of_ratio
 
 OF_SIGMA = "The variance of the λ-return is estimated directly, by temporal differences"
@@ -21,32 +20,25 @@ _MAINLY = 0.5
 
 def discussed(found: list[Row]) -> Iterator[Claim]:
     """Claims about the policies with ψ = 0 and with the paper's ψ, taken together."""
-    for kind in KINDS:
-        yield from _of_trade(found, kind)
+    yield from _of_trade(found)
     yield from _of_determinism(found)
     yield from _of_stochasticity(found)
     yield from _of_sigma(found, "along", "along the way")
     yield from _of_sigma(found, "start", "at the start, where equation 9 penalises it")
 
 
-def _of_trade(found: list[Row], kind: str) -> Iterator[Claim]:
-    compared = [row.comparison.get("free", {}) for row in found]
-    ratios = {
-        name: [one.get(kind, {}).get(f"{name}_ratio") or 0.0 for one in compared]
-        for name in ("std", "mean")
-    }
-    if len(found) < FEWEST or min(map(min, ratios.values())) <= 0:
-        return
-    if min(min(one["seeds"]) for one in compared) < 2:
-        return
-    spread, mean = (ratio_over(np.array(ratios[name])) for name in ("std", "mean"))
-    yield (
-        "Constraining the variance leads to a trade-off between the mean and the variance of "
-        f"returns (discussion): {kind} ones",
-        "of final policies from free starts, over all environments together: standard deviation"
-        f"{_times(spread)}; mean{_times(mean)}",
-        _traded(*(of_ratio({"interval": one.interval}) for one in (spread, mean))),
-    )
+def _of_trade(found: list[Row]) -> Iterator[Claim]:
+    ratios = measures([row.safe for row in found])
+    for kind, name in WITHIN_POLICIES.items():
+        spread, mean = ratios.get(name), ratios.get(f"{name}_mean")
+        if spread and mean:
+            yield (
+                "Constraining the variance leads to a trade-off between the mean and the variance "
+                f"of returns (discussion): {kind} ones",
+                "of final policies from free starts, over all environments together: standard "
+                f"deviation{_times(spread)}; mean{_times(mean)}",
+                _traded(of_ratio(spread), of_ratio(mean)),
+            )
 
 
 def _traded(spread: str, mean: str) -> str:
@@ -101,7 +93,7 @@ def _of_stochasticity(found: list[Row]) -> Iterator[Claim]:
         "(discussion), which here is where an episode starts",
         "from one start, the same for all policies, where nothing but the actions is random, "
         f"returns have of the variance from free starts: {listed}"
-        + (f"; together{_times(over)}" if over else ""),
+        + (f"; together{times(over.value, over.interval)}" if over else ""),
         _of_share(over),
     )
 
@@ -161,5 +153,5 @@ def _of_sigma(found: list[Row], part: str, where: str) -> Iterator[Claim]:
     )
 
 
-def _times(one: Ratio) -> str:
-    return times(one.value, one.interval)
+def _times(one: Summary) -> str:
+    return times(one["ratio"], one["interval"])

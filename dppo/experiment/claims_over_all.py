@@ -1,14 +1,10 @@
 """The paper's claims about all of its environments."""
 
 from collections.abc import Callable
-from typing import Any
-
-import numpy as np
 
 from dppo.experiment.claim_rows import Claim, Row, cost, judged, named, times
 from dppo.experiment.paper import TABLE_2
-from dppo.experiment.significance import ratio_over
-from dppo.experiment.together import FEWEST
+from dppo.experiment.together import measures
 from dppo.experiment.verdicts import Summary, of_mean, of_ratio, of_spread
 
 
@@ -43,7 +39,7 @@ def outperforms(found: list[Row]) -> Claim:
 def reduces(found: list[Row]) -> Claim:
     """A lower spread, judged by all of them together: a single one shows little with few seeds."""
     higher, lower = (_where(found, of_spread, verdict) for verdict in ("higher", "lower"))
-    ratio = _over_all(found)
+    ratio = measures([row.safe for row in found]).get("across")
     if len({row.paper.env for row in found}) < len(TABLE_2):
         judgement = _in_all_four(found, 0)
     elif higher:
@@ -58,16 +54,6 @@ def reduces(found: list[Row]) -> Claim:
         + (times(ratio["ratio"], ratio["interval"]) if ratio else ": no ratio"),
         judgement,
     )
-
-
-def _over_all(found: list[Row]) -> dict[str, Any] | None:
-    """Ratio of the spreads across seeds, of the paper's environments alone."""
-    against = [row.comparison["last200"] for row in found]
-    ratios = [one.get("std_ratio") or 0.0 for one in against]
-    if len(found) < FEWEST or min(ratios) <= 0 or min(min(one["seeds"]) for one in against) < 2:
-        return None
-    one = ratio_over(np.array(ratios))
-    return {"ratio": one.value, "interval": one.interval}
 
 
 def _costs(found: list[Row]) -> str:

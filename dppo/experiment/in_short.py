@@ -7,6 +7,7 @@ from dppo.experiment.numbers import ratio_of
 from dppo.experiment.page import Table
 from dppo.experiment.results import Results
 from dppo.experiment.tables import arms_of
+from dppo.experiment.together import WITHIN_POLICIES
 from dppo.experiment.verdicts import of_goal, of_interval, of_mean, of_spread, of_spread_within
 
 Comparisons = Mapping[str, Mapping[str, Any]]
@@ -42,8 +43,8 @@ def _measures(compared: Comparisons) -> Iterator[tuple[str, dict[str, str], str]
     yield "mean return in training", {env: of_mean(one) for env, one in compared.items()}, ""
     spreads = {env: of_spread(one) for env, one in compared.items()}
     yield "its spread across seeds", spreads, "across"
-    yield from _of_policies(compared, "undiscounted", "")
-    yield from _of_policies(compared, "discounted", "_discounted")
+    for kind, within in WITHIN_POLICIES.items():
+        yield from _of_policies(compared, kind, within)
     falls = {
         env: of_interval(free["terminated"]["interval"], min(free["seeds"]))
         for env, one in compared.items()
@@ -59,7 +60,7 @@ def _differ(falls: Mapping[str, Any]) -> bool:
 
 
 def _of_policies(
-    compared: Comparisons, kind: str, suffix: str
+    compared: Comparisons, kind: str, name: str
 ) -> Iterator[tuple[str, dict[str, str], str]]:
     """Returns of final policies from free starts."""
     policies = {env: one for env, one in compared.items() if is_judged(one, kind)}
@@ -69,9 +70,9 @@ def _of_policies(
     means = {
         env: of_interval(one["mean"]["interval"], seeds) for env, (one, seeds) in free.items()
     }
-    yield f"mean of final policies, {kind}", means, f"within{suffix}_mean"
+    yield f"mean of final policies, {kind}", means, f"{name}_mean"
     within = {env: of_spread_within(*one) for env, one in free.items()}
-    yield f"std within a policy, {kind}", within, f"within{suffix}"
+    yield f"std within a policy, {kind}", within, name
     goals = {env: of_goal(one, "free", kind) for env, one in policies.items()}
     yield f"30 % less std for 5 % of the mean, {kind}", goals, ""
 

@@ -5,7 +5,7 @@ more. Student's t of the logarithms of the ratios asks whether they lie to one s
 the environments are a sample of those that one cares about.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,12 +14,16 @@ from dppo.experiment.significance import ratio_over
 
 FEWEST = 3
 """Environments."""
+WITHIN_POLICIES = {"undiscounted": "within", "discounted": "within_discounted"}
+"""What the spread within a policy is called among the measures, by what returns it is of; the mean
+there has `_mean` behind."""
 _MEASURES = {
     "across": ("last200", None, "std_ratio"),
-    "within": ("free", "undiscounted", "std_ratio"),
-    "within_mean": ("free", "undiscounted", "mean_ratio"),
-    "within_discounted": ("free", "discounted", "std_ratio"),
-    "within_discounted_mean": ("free", "discounted", "mean_ratio"),
+    **{
+        name + suffix: ("free", kind, ratio)
+        for kind, name in WITHIN_POLICIES.items()
+        for suffix, ratio in (("", "std_ratio"), ("_mean", "mean_ratio"))
+    },
 }
 """Spread across seeds; spread within a policy and the mean there: where a comparison has them."""
 
@@ -33,14 +37,19 @@ def together(environments: Mapping[str, Any], baseline: str) -> dict[str, Any]:
     """
     arms = dict.fromkeys(arm for one in environments.values() for arm in one["arms"])
     found = {
-        arm: dict(_measures([one["arms"].get(arm) for one in environments.values()]))
+        arm: measures([one["arms"].get(arm) for one in environments.values()])
         for arm in arms
-        if arm != baseline and len(environments) >= FEWEST
+        if arm != baseline
     }
-    return {arm: measures for arm, measures in found.items() if measures}
+    return {arm: one for arm, one in found.items() if one}
 
 
-def _measures(arms: list[Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+def measures(arms: Sequence[Any]) -> dict[str, dict[str, Any]]:
+    """Of an arm on each of some environments, what all of them have; of too few, nothing."""
+    return dict(_measures(arms)) if len(arms) >= FEWEST else {}
+
+
+def _measures(arms: Sequence[Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     for name, (part, kind, key) in _MEASURES.items():
         ratios = [_ratio(arm, part, kind, key) for arm in arms]
         if all(ratio is not None and ratio > 0 for ratio in ratios):

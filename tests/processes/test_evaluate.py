@@ -4,15 +4,13 @@ import json
 import runpy
 import signal
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dppo.errors import RunFailedError
 from dppo.sources import made_by
-from dppo.store.checkpoint import load_checkpoint
-from tests.support import ROOT, catches, checkpoints, wait_until
+from tests.support import ROOT, catches, checkpoints, newest_checkpoint, wait_until
 from workers.envs import Adapter, make_env
 from workers.evaluate import evaluate, plans_of, policy_of
 from workers.play import play
@@ -23,13 +21,9 @@ def run_dir(runs):
     return runs("Hopper-v5")
 
 
-def newest(run_dir: Path):
-    return load_checkpoint(run_dir / "checkpoints" / checkpoints(run_dir)[-1])
-
-
 def test_a_checkpoint_is_read_without_this_package_as_the_page_on_embedding_says(run_dir):
     """JSON, safetensors and NumPy: the same actions up to the order of sums."""
-    checkpoint = newest(run_dir)
+    checkpoint = newest_checkpoint(run_dir)
     (folder,) = [run_dir / "checkpoints" / name for name in checkpoints(run_dir)[-1:]]
     example = runpy.run_path(str(ROOT / "examples" / "read_a_checkpoint.py"))
     theirs, ours = example["Policy"](folder), policy_of(checkpoint)
@@ -40,7 +34,7 @@ def test_a_checkpoint_is_read_without_this_package_as_the_page_on_embedding_says
 
 
 def test_equal_arguments_give_equal_returns_and_other_seeds_others(run_dir):
-    policy = policy_of(newest(run_dir))
+    policy = policy_of(newest_checkpoint(run_dir))
     first = evaluate(policy, episodes=3, deterministic=False, seed=1)
     assert evaluate(policy, episodes=3, deterministic=False, seed=1) == first
     assert evaluate(policy, episodes=3, deterministic=False, seed=2) != first
@@ -51,7 +45,8 @@ def test_equal_arguments_give_equal_returns_and_other_seeds_others(run_dir):
     "env_id", ["Hopper-v5", pytest.param("FourRooms-v0", marks=pytest.mark.slow)]
 )
 def test_results_do_not_depend_on_how_many_are_played_side_by_side(runs, env_id):
-    play_all = partial(evaluate, policy_of(newest(runs(env_id))), deterministic=False, seed=3)
+    policy = policy_of(newest_checkpoint(runs(env_id)))
+    play_all = partial(evaluate, policy, deterministic=False, seed=3)
     together = play_all(episodes=5, places=2)
     assert len({episode.length for episode in together.episodes}) > 5
     for rows in (1, 2, 7):
@@ -60,7 +55,7 @@ def test_results_do_not_depend_on_how_many_are_played_side_by_side(runs, env_id)
 
 
 def test_an_episode_is_the_one_that_a_plain_loop_plays(run_dir):
-    policy = policy_of(newest(run_dir))
+    policy = policy_of(newest_checkpoint(run_dir))
     plans = plans_of(seed=1, episodes=4, places=0)
     env = make_env(policy.config.run)
     adapter = Adapter(env.observation_space, env.action_space)
@@ -87,7 +82,7 @@ def test_an_episode_is_the_one_that_a_plain_loop_plays(run_dir):
 
 @pytest.mark.parametrize("env_id", ["Hopper-v5", "FourRooms-v0"])
 def test_episodes_of_a_fixed_start_share_it_and_nothing_else(runs, env_id):
-    policy = policy_of(newest(runs(env_id)))
+    policy = policy_of(newest_checkpoint(runs(env_id)))
     plans = plans_of(seed=2, episodes=4, places=2, free=False)
     found = {episode.plan: kept for episode, kept in play(policy, plans, keep=True)}
     for place in (0, 1):
@@ -99,7 +94,7 @@ def test_episodes_of_a_fixed_start_share_it_and_nothing_else(runs, env_id):
 
 def test_the_environments_own_noise_differs_from_one_start(runs):
     """The policy is deterministic here, and yet Four Rooms slips at other steps."""
-    policy = policy_of(newest(runs("FourRooms-v0")))
+    policy = policy_of(newest_checkpoint(runs("FourRooms-v0")))
     plans = plans_of(seed=2, episodes=3, places=1, free=False)
     kept = [trajectory for _, trajectory in play(policy, plans, deterministic=True, keep=True)]
     assert len({trajectory.obs.tobytes() for trajectory in kept}) == 3
@@ -109,7 +104,7 @@ def test_a_failing_environment_ends_the_evaluation_with_its_reset_seed(runs):
     run = runs("tests.odd_envs:Walk-v0")
     config = json.loads((run / "config.json").read_text())
     assert config["config"]["run"]["env"] == "tests.odd_envs:Walk-v0"
-    checkpoint = newest(run)
+    checkpoint = newest_checkpoint(run)
     checkpoint.facts["config"]["run"]["env"] = "tests.odd_envs:Raises-v0"
     sentence = r"Raises-v0 raised RuntimeError: the arm fell off at step 10 .* reset seed \d+"
     with pytest.raises(RunFailedError, match=sentence):
@@ -117,7 +112,7 @@ def test_a_failing_environment_ends_the_evaluation_with_its_reset_seed(runs):
 
 
 def test_an_episode_that_may_never_end_is_remarked_upon_once(runs, monkeypatch, caplog):
-    policy = policy_of(newest(runs("tests.odd_envs:Walk-v0")))
+    policy = policy_of(newest_checkpoint(runs("tests.odd_envs:Walk-v0")))
     monkeypatch.setattr("workers.play._LONG_STEPS", 17)
     evaluate(policy, episodes=4, deterministic=False, seed=0)  # of 16 steps each
     assert not caplog.messages
@@ -130,7 +125,7 @@ def test_an_episode_that_may_never_end_is_remarked_upon_once(runs, monkeypatch, 
 
 @pytest.mark.parametrize("env_id", ["Hopper-v5", "tests.odd_envs:Walk-v0"])
 def test_episodes_that_are_cut_are_beginnings_of_whole_ones(runs, env_id):
-    policy = policy_of(newest(runs(env_id)))
+    policy = policy_of(newest_checkpoint(runs(env_id)))
     plans = plans_of(seed=1, episodes=5, places=1)
     whole, cut, same = (
         {episode.plan: (episode, kept) for episode, kept in played}
@@ -148,7 +143,7 @@ def test_episodes_that_are_cut_are_beginnings_of_whole_ones(runs, env_id):
 
 
 def test_an_episode_that_ends_in_the_step_it_would_be_cut_in_has_ended(runs):
-    policy = policy_of(newest(runs("tests.odd_envs:Walk-v0")))
+    policy = policy_of(newest_checkpoint(runs("tests.odd_envs:Walk-v0")))
     found = evaluate(policy, episodes=2, deterministic=True, seed=0, max_steps=16)
     assert [(one.length, one.terminated) for one in found.episodes] == [(16, True)] * 2
 
@@ -179,8 +174,8 @@ def test_dppo_eval_prints_mean_spread_tail_falls_and_intervals(harness, run_dir)
     process = harness.start("dppo", "eval", str(run_dir), *words)
     assert process.wait() == 0, process.text
     printed = json.loads(process.text)
-    _, log_std = policy_of(newest(run_dir)).networks.split_policy(
-        newest(run_dir).arrays["parameters"]
+    _, log_std = policy_of(newest_checkpoint(run_dir)).networks.split_policy(
+        newest_checkpoint(run_dir).arrays["parameters"]
     )
     assert 0 < printed["action_std"] == pytest.approx(float(np.exp(log_std).mean()))
     assert [episode["start"] for episode in printed["episodes"]] == ["free"] * 12 + ["fixed"] * 12

@@ -5,8 +5,7 @@ from functools import partial
 
 import pytest
 
-from dppo.store.checkpoint import load_checkpoint
-from tests.support import checkpoints
+from tests.support import newest_checkpoint
 from workers.evaluate import evaluate, policy_of
 
 
@@ -15,13 +14,9 @@ def run_dir(runs):
     return runs("Hopper-v5")
 
 
-def newest(run_dir):
-    return load_checkpoint(run_dir / "checkpoints" / checkpoints(run_dir)[-1])
-
-
 def test_a_policy_can_be_played_elsewhere(run_dir):
     play_in = partial(evaluate, episodes=3, deterministic=True, seed=3)
-    checkpoint = newest(run_dir)
+    checkpoint = newest_checkpoint(run_dir)
     at_home, noisy = play_in(policy_of(checkpoint)), "HopperActionNoise-v5"
     assert play_in(policy_of(checkpoint, noisy, '{"noise_std": 0.0}')) == at_home
     assert play_in(policy_of(checkpoint, noisy)) != at_home
@@ -42,7 +37,7 @@ def test_dppo_eval_plays_elsewhere(harness, run_dir):
     assert process.wait() == 0, process.text
     printed = json.loads(process.text)
     assert (printed["env"], printed["env_kwargs"]) == (env, kwargs)
-    policy = policy_of(newest(run_dir), env, kwargs)
+    policy = policy_of(newest_checkpoint(run_dir), env, kwargs)
     found = evaluate(policy, episodes=2, deterministic=False, seed=0)
     assert [one["return"] for one in printed["episodes"]] == [one.total for one in found.episodes]
     told = harness.start("dppo", "eval", str(run_dir), *words)
@@ -51,7 +46,8 @@ def test_dppo_eval_plays_elsewhere(harness, run_dir):
 
 
 def test_the_runs_own_environment_keeps_its_keyword_arguments(runs):
-    checkpoint = newest(runs("InvertedPendulum-v5", "--env-kwargs", '{"reset_noise_scale": 0.02}'))
+    kwargs = '{"reset_noise_scale": 0.02}'
+    checkpoint = newest_checkpoint(runs("InvertedPendulum-v5", "--env-kwargs", kwargs))
     for words in ((), ("InvertedPendulum-v5",)):
-        assert policy_of(checkpoint, *words).config.run.env_kwargs == '{"reset_noise_scale": 0.02}'
+        assert policy_of(checkpoint, *words).config.run.env_kwargs == kwargs
     assert policy_of(checkpoint, "InvertedPendulum-v4").config.run.env_kwargs == "{}"

@@ -11,7 +11,6 @@ from dppo.wire.zenoh_links import ZenohWorkerLink, open_connecting
 from learner.local import free_address
 from tests.support import (
     SMALL,
-    Harness,
     checkpoints,
     iterations,
     result,
@@ -24,12 +23,6 @@ STEPS = 100 * 8 * 64
 RUN = ("--env", "Hopper-v5", *SMALL, "--total-timesteps", str(STEPS), "--checkpoint-every", "2")
 ENDLESS = ("--env", "Hopper-v5", *SMALL, "--total-timesteps", "100000000")
 SEED_1 = ("--seed", "1")
-
-
-def alone(tmp_path_factory, *args):
-    harness = Harness(tmp_path_factory.mktemp("undisturbed"))
-    run_dir = harness.folder / "run"
-    return harness.train(*RUN, *args, "--local-workers", "2", run_dir=run_dir)["parameters_sha256"]
 
 
 def external(address):
@@ -151,7 +144,7 @@ def test_an_older_checkpoint_put_back_is_a_new_generation_that_workers_join(harn
     assert outcome["parameters_sha256"] == undisturbed
 
 
-def test_a_worker_goes_over_to_another_run_at_the_same_address(harness, tmp_path_factory):
+def test_a_worker_goes_over_to_another_run_at_the_same_address(harness):
     """A colleague's run: it has served generation 2 of ours, theirs is generation 1."""
     address, ours, theirs = free_address(), harness.folder / "ours", harness.folder / "theirs"
     worker = harness.worker(address)
@@ -163,7 +156,8 @@ def test_a_worker_goes_over_to_another_run_at_the_same_address(harness, tmp_path
     other = harness.train(*RUN, *SEED_1, *external(address), run_dir=theirs)
     assert worker.wait() == 0, worker.text
     assert "joined run theirs (generation 1)" in worker.text
-    assert other["parameters_sha256"] == alone(tmp_path_factory, *SEED_1)
+    alone = harness.train(*RUN, *SEED_1, run_dir=harness.folder / "alone")
+    assert other["parameters_sha256"] == alone["parameters_sha256"]
 
 
 def test_two_workers_started_with_one_name_are_two_workers(harness, undisturbed):
