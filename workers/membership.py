@@ -177,7 +177,8 @@ class Member:
     def _work(self, worker: Worker, generation: int) -> Stop | None:
         """Do what the learner asks until it says stop; None: it is lost."""
         while True:
-            message = self._link.receive(60.0)
+            soon = self._core.awake(lambda: self._link.receive(0.0))
+            message = soon or self._link.receive(60.0)
             match message:
                 case Restore() | Collect() | Update() | Measure():
                     if message.generation == generation:

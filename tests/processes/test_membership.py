@@ -129,6 +129,26 @@ def test_tasks_are_done_on_the_workers_core_and_nothing_else_is():
     assert (core.begun, core.done) == (3, 3)  # the last is a task of an older learner
 
 
+class SleeplessCore(Core):
+    """Awake for whatever is there already."""
+
+    found = 0
+
+    def awake(self, look):
+        message = look()
+        self.found += message is not None
+        return message
+
+
+def test_what_comes_while_it_is_awake_is_done():
+    core = SleeplessCore()
+    meeting = Meeting(core=core)
+    restore = Restore(generation=1, iteration=0, slot=0, snapshot=b"")
+    meeting.says(welcome(1), restore, restore, END)
+    assert meeting.member.live() == END
+    assert core.found == 3  # the end as well
+
+
 def test_a_task_of_an_older_learner_is_ignored():
     meeting = Meeting()
     meeting.says(welcome(generation=2), update(generation=1), END)

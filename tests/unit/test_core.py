@@ -98,6 +98,55 @@ def test_it_tries_less_and_less_often_while_somebody_is_there_and_forgets_that_w
     assert waits_beside_another(time_, core, moves, 2)[0] < 22
 
 
+class Question:
+    """Comes after so many looks; each takes 0.1 ms, and so does giving the core away."""
+
+    def __init__(self, time_, monkeypatch, after):
+        self._time, self._left, self.yields = time_, after, 0
+        monkeypatch.setattr(os, "sched_yield", self._yield, raising=False)
+
+    def _yield(self):
+        self.yields += 1
+        self._time.now += 0.0001
+
+    def look(self):
+        self._time.now += 0.0001
+        self._left -= 1
+        return "question" if self._left < 0 else None
+
+
+@pytest.mark.parametrize("after", [0, 5])
+def test_on_its_own_core_it_stays_awake_for_what_comes_soon(moves, monkeypatch, after):
+    time_ = Time()
+    core, question = time_.core(0), Question(time_, monkeypatch, after)
+    time_.work(core, 0.5)
+    assert moves == [{2}]
+    assert core.awake(question.look) == "question"
+    assert question.yields == after  # the learner's turn after every look
+
+
+def test_what_does_not_come_soon_is_slept_for(moves, monkeypatch):
+    time_ = Time()
+    core, question = time_.core(0), Question(time_, monkeypatch, after=1000)
+    time_.work(core, 0.5)
+    begun = time_.now
+    assert core.awake(question.look) is None
+    assert 0.002 <= time_.now - begun < 0.0022
+    assert moves == [{2}]
+
+
+def test_where_somebody_else_may_be_it_sleeps_at_once(moves, monkeypatch):
+    time_ = Time()
+    core, question = time_.core(0), Question(time_, monkeypatch, after=0)
+    assert core.awake(question.look) is None
+    time_.work(core, 0.5)
+    time_.share = 0.5
+    time_.work(core, 0.5)
+    assert moves == [{2}, ALL]
+    assert core.awake(question.look) is None
+    assert question.yields == 0
+
+
 def test_work_is_counted_and_waiting_is_not(moves):
     time_ = Time()
     core = time_.core(0)
