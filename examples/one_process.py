@@ -50,7 +50,7 @@ def main(num_workers: int) -> None:
     state = State.initial(networks, spaces.obs_size, CONFIG)
     chief = Chief(state, networks, CONFIG, 1, exchange, Ledger(CONFIG.rollout, lambda _: None))
     while chief.state.iteration < CONFIG.iterations:
-        report = chief.iterate()
+        report = chief.iterate().report()
         mean, kl = (report.metrics.get(name, 0.0) for name in ("rollout/ep_rew_mean", "train/kl"))
         print(f"{report.env_steps:6} steps, return {mean:.1f}, KL {kl:.4f}")
     exchange.stop("the example is over", final=True)

@@ -38,7 +38,7 @@ from dppo.sums import block_sum, whole
 from dppo.wire.messages import Answer, Collect, Collected, Gradient, Measure, Measured, Update
 from learner.exchange import Exchange
 from learner.ledger import Ledger
-from learner.report import IterationReport, Training, summarise
+from learner.report import Finished, Training
 from learner.state import State
 
 Float32 = NDArray[np.float32]
@@ -64,7 +64,7 @@ class Chief:
         self._rate_factors = np.ones(part.stop - part.start, np.float32)
         self._rate_factors[head:] = networks.log_std_rate(config.network)
 
-    def iterate(self) -> IterationReport:
+    def iterate(self) -> Finished:
         """One iteration: collect, M and B updates, adaptation. `state` is then the next one's."""
         before, psi = self.state, self._psi()
         collected = self._collect(psi)
@@ -75,9 +75,13 @@ class Chief:
             self._adapt(collected, training)
         training.std = mean_std(self._networks.split_policy(self._parameters)[1])
         self._advance(collected, training)
-        self._ledger.iterated(before.iteration, self._parameters, collected)
-        return summarise(
-            before, self.state, collected, training, self._config, self._exchange.num_workers
+        return Finished(
+            before=before,
+            after=self.state,
+            collected=collected,
+            training=training,
+            config=self._config,
+            num_workers=self._exchange.num_workers,
         )
 
     def _improve(self, advantages: Moments, training: Training) -> None:

@@ -63,55 +63,61 @@ class IterationReport:
     """Return and length of those that ended in the iteration, in slot order."""
 
 
-def summarise(
-    before: State,
-    after: State,
-    collected: list[Collected],
-    training: Training,
-    config: Config,
-    num_workers: int,
-) -> IterationReport:
-    """The report of the iteration between two states."""
-    fit = merged([answer.fit for answer in collected])
-    starts = merged([answer.start_sigma for answer in collected])
-    spread = fit.m2 / max(fit.count, 1.0)
-    metrics = {
-        "train/kl": training.kl,
-        "train/kl_coef": after.beta,
-        "train/policy_updates": float(training.policy_updates),
-        "train/policy_loss": -training.mean("objective", "policy_weight"),
-        "train/value_loss": training.mean("value_loss", "critic_weight"),
-        "train/variance_loss": training.mean("variance_loss", "critic_weight"),
-        "train/explained_variance": float(1 - spread[1] / spread[0]) if spread[0] > 0 else 0.0,
-        "train/reward_scale": before.statistics.reward_scale(config),
-        "safety/psi": training.psi,
-        "safety/sigma_mean": float(fit.mean[2]),
-        "safety/adv_v_std": training.advantage_stds[0],
-        "safety/adv_sigma_std": training.advantage_stds[1],
-        "cluster/workers": float(num_workers),
-        "cluster/dropped": float(training.dropped),
-    }
-    if training.std is not None:
-        metrics["train/std"] = training.std
-    if starts.count > 0:
-        metrics["safety/start_sigma"] = float(starts.mean[0])
-    metrics |= {f"train/{name}_grad_norm": norm for name, norm in training.norms.items()}
-    if len(after.episodes):
-        returns, lengths = after.episodes.T
-        metrics |= {
-            "rollout/ep_rew_mean": float(returns.mean()),
-            "rollout/ep_len_mean": float(lengths.mean()),
-            "charts/episodic_return": float(returns[-1]),
-            "safety/return_std": float(returns.std()),
-            "safety/cvar10": cvar(returns),
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finished:
+    """An iteration between two states; its report is made when there is time."""
+
+    before: State
+    after: State
+    collected: list[Collected]
+    """In slot order."""
+    training: Training
+    config: Config
+    num_workers: int
+
+    def report(self) -> IterationReport:
+        """Its figures."""
+        training, episodes = self.training, self.after.episodes
+        fit = merged([answer.fit for answer in self.collected])
+        starts = merged([answer.start_sigma for answer in self.collected])
+        spread = fit.m2 / max(fit.count, 1.0)
+        metrics = {
+            "train/kl": training.kl,
+            "train/kl_coef": self.after.beta,
+            "train/policy_updates": float(training.policy_updates),
+            "train/policy_loss": -training.mean("objective", "policy_weight"),
+            "train/value_loss": training.mean("value_loss", "critic_weight"),
+            "train/variance_loss": training.mean("variance_loss", "critic_weight"),
+            "train/explained_variance": float(1 - spread[1] / spread[0]) if spread[0] > 0 else 0.0,
+            "train/reward_scale": self.before.statistics.reward_scale(self.config),
+            "safety/psi": training.psi,
+            "safety/sigma_mean": float(fit.mean[2]),
+            "safety/adv_v_std": training.advantage_stds[0],
+            "safety/adv_sigma_std": training.advantage_stds[1],
+            "cluster/workers": float(self.num_workers),
+            "cluster/dropped": float(training.dropped),
         }
-    return IterationReport(
-        iteration=after.iteration,
-        env_steps=after.iteration * config.rollout.samples,
-        metrics=metrics,
-        episodes=tuple(
-            (float(episode[0]), float(episode[1]))
-            for answer in collected
-            for episode in answer.episodes.reshape(-1, 2)
-        ),
-    )
+        if training.std is not None:
+            metrics["train/std"] = training.std
+        if starts.count > 0:
+            metrics["safety/start_sigma"] = float(starts.mean[0])
+        metrics |= {f"train/{name}_grad_norm": norm for name, norm in training.norms.items()}
+        if len(episodes):
+            returns, lengths = episodes.T
+            metrics |= {
+                "rollout/ep_rew_mean": float(returns.mean()),
+                "rollout/ep_len_mean": float(lengths.mean()),
+                "charts/episodic_return": float(returns[-1]),
+                "safety/return_std": float(returns.std()),
+                "safety/cvar10": cvar(returns),
+            }
+        return IterationReport(
+            iteration=self.after.iteration,
+            env_steps=self.after.iteration * self.config.rollout.samples,
+            metrics=metrics,
+            episodes=tuple(
+                (float(episode[0]), float(episode[1]))
+                for answer in self.collected
+                for episode in answer.episodes.reshape(-1, 2)
+            ),
+        )

@@ -28,7 +28,7 @@ from learner.dropping import Accounts
 from learner.exchange import Exchange
 from learner.ledger import Ledger
 from learner.replay import Original
-from learner.report import IterationReport
+from learner.report import Finished
 from learner.runlog import RunLog
 from learner.saving import Saving
 from learner.soundness import Expected
@@ -159,8 +159,8 @@ class Session:
         chief = Chief(self.state, networks, self._config, self.generation, self._exchange, ledger)
         while self.state.iteration < self._config.iterations and self._env_steps < stop_at:
             begun = time.monotonic()
-            report = chief.iterate()
-            tell = partial(self._tell, report, time.monotonic() - begun, ledger, runlog, console)
+            finished = chief.iterate()
+            tell = partial(self._tell, finished, time.monotonic() - begun, ledger, runlog, console)
             self._exchange.meanwhile.add(tell)
             self.state = chief.state
             if self.state.iteration % self._every == 0:
@@ -171,13 +171,15 @@ class Session:
 
     def _tell(
         self,
-        report: IterationReport,
+        finished: Finished,
         seconds: float,
         ledger: Ledger,
         runlog: RunLog,
         console: Console,
     ) -> None:
         """One iteration, which took so long, to files and screen."""
+        ledger.iterated(finished.before.iteration, finished.after.parameters, finished.collected)
+        report = finished.report()
         speed = self._config.rollout.samples / seconds
         measured = {
             "charts/SPS": speed,

@@ -158,7 +158,7 @@ def train(config):
     exchange.expected = Expected(spaces, networks.size, ENVS * STEPS)
     state = State.initial(networks, spaces.obs_size, config)
     chief = Chief(state, networks, config, 1, exchange, Ledger(config.rollout, lambda _: None))
-    reports = [chief.iterate() for _ in range(ITERATIONS)]
+    reports = [chief.iterate().report() for _ in range(ITERATIONS)]
     exchange.stop("the run is finished", final=True)
     thread.join(60.0)
     return Trained(link, spaces, networks, chief.state, reports)

@@ -10,7 +10,7 @@ from dppo.config import Config, RolloutConfig
 from dppo.gradients import Sums
 from dppo.moments import Moments
 from dppo.networks import Networks
-from learner.report import Training, summarise
+from learner.report import Finished, Training
 from learner.state import State
 from tests.story import COLLECTED, SPACES
 
@@ -42,7 +42,10 @@ def report(training):
     before = State.initial(networks, SPACES.obs_size, CONFIG).with_episodes(TENS)
     new = np.concatenate([answer.episodes.reshape(-1, 2) for answer in THREE])
     after = replace(before.with_episodes(new), iteration=7, beta=2.0)
-    return summarise(before, after, THREE, training, CONFIG, num_workers=2)
+    return Finished(
+        before=before, after=after, collected=THREE, training=training, config=CONFIG,
+        num_workers=2,
+    ).report()  # fmt: skip
 
 
 def test_the_columns_to_watch_are_those_of_all_slots_together():
