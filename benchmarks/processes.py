@@ -9,6 +9,7 @@ If the benchmark itself is cut off, however that happens, its guard does the sam
 waits for the end of a pipe that only the benchmark holds.
 """
 
+import atexit
 import contextlib
 import itertools
 import os
@@ -102,11 +103,12 @@ def started(
 
 
 @cache
-def _guard() -> subprocess.Popen[bytes]:
-    """Ends all that has been started here when this process is gone."""
+def _guard() -> None:
+    """Ends all that has been started here when this process is gone, or about to be."""
     words = [sys.executable, "-S", "-P", __file__, _OWN]
     env = os.environ | {"PYTHONPATH": str(ROOT)}
-    return subprocess.Popen(words, stdin=subprocess.PIPE, env=env, start_new_session=True)
+    guard = subprocess.Popen(words, stdin=subprocess.PIPE, env=env, start_new_session=True)
+    atexit.register(guard.communicate)  # closes its pipe, and waits for it
 
 
 def family(pid: int) -> list[int]:
