@@ -40,7 +40,8 @@ def scheduled_psi(config: SafetyConfig, progress: float) -> float:
 def dual_psi(psi: float, start_sigma: float, config: SafetyConfig) -> float:
     """ψ after a dual step on the constraint mean σ(s_0) <= limit: up when violated, down else.
 
-    ψ ← max(0, ψ + rate (σ̄_0 / limit − 1)), each step at most `rate` times 10 up.
+    ψ ← max(0, ψ + rate (σ̄_0 / limit − 1)), each step at most `rate`, up as down: σ begins much too
+    large, and what goes up sooner than it can come down stays up for most of a run.
 
     Args:
         psi: ψ so far.
@@ -49,7 +50,7 @@ def dual_psi(psi: float, start_sigma: float, config: SafetyConfig) -> float:
     """
     if math.isinf(config.variance_limit):
         return psi
-    violation = min(start_sigma / config.variance_limit - 1, 10.0)
+    violation = min(start_sigma / config.variance_limit - 1, 1.0)
     return max(0.0, psi + config.variance_limit_rate * violation)
 
 

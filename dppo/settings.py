@@ -139,7 +139,7 @@ class SafetyConfig:
     variance_limit: float = math.inf
     """Bound on the mean of σ(s_0); ψ follows by dual steps from psi; inf: none [reward²]."""
     variance_limit_rate: float = 0.05
-    """Change of ψ in an iteration with new episodes, per unit of relative violation [ψ]."""
+    """Change of ψ an iteration with new episodes, per unit of relative violation up to 1 [ψ]."""
     adv_norm: Literal["separate", "joint", "none"] = "separate"
     """A_V − ψ A_σ: each standardised [ψ: 1], their sum, or raw [both ψ: 1/scaled reward]."""
     sigma_head: Literal["softplus", "linear"] = "softplus"

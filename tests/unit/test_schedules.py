@@ -89,7 +89,7 @@ LIMIT = SafetyConfig(psi=0.5, variance_limit=2.0, variance_limit_rate=0.125)
         (0.5, 1.0, 0.4375),  # 50 % below
         (0.5, 2.0, 0.5),  # on it
         (0.0, 0.0, 0.0),  # -0.125, but ψ is never negative
-        (0.5, 1e9, 1.75),  # a violation counts as 10 at most: up by 0.125 * 10
+        (0.5, 1e9, 0.625),  # a violation counts as 1 at most: up by 0.125
     ],
 )
 def test_dual_step_of_psi(psi, start_sigma, after):
