@@ -41,6 +41,7 @@ WORKER: tuple[Place, ...] = (
     ("workers.worker:sum_rows", "gradients"),
     ("workers.worker:Worker._update", "gradients"),
     ("workers.worker:slot_kls", "final KL"),
+    ("workers.core:Core.awake", "idle"),
 )
 LEARNER: tuple[Place, ...] = (
     ("learner.exchange:Exchange.gather", "rounds"),
