@@ -65,7 +65,10 @@ class Chief:
         self._rate_factors[head:] = networks.log_std_rate(config.network)
 
     def iterate(self) -> Finished:
-        """One iteration: collect, M and B updates, adaptation. `state` is then the next one's."""
+        """One iteration: collect, M and B updates, adaptation. `state` is then the next one's.
+
+        The caller notes it in the ledger, and makes its report, when there is time.
+        """
         before, psi = self.state, self._psi()
         collected = self._collect(psi)
         advantages = merged([answer.advantages for answer in collected])
