@@ -26,6 +26,7 @@ def compared(**verdicts):
             "undiscounted": {
                 "mean": {"interval": AROUND_0[of["policy_mean"]]}, "mean_ratio": 1.0,
                 "std_ratio": 1.0, "std_ratio_interval": AROUND_1[of["within"]],
+                "mean_beyond_goal": {"difference": 0.05, "interval": None},
             },
             "length": {"difference": 0.0, "interval": AROUND_0[of["life"]]},
             "terminated": {},

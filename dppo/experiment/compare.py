@@ -35,6 +35,8 @@ LAST = (200, 100)
 """Training episodes: the paper's measure, and the one of `rollout/ep_rew_mean`."""
 MARKS = (1_000_000, 2_000_000, 3_000_000, 5_000_000, 10_000_000)
 """Where returns are told on the way [env steps]."""
+GOAL_SPREAD, GOAL_MEAN = 0.7, 0.95
+"""What a safe policy's user would want: times the baseline's spread at most, mean at least."""
 _WITHIN: dict[str, Statistic] = {"mean": mean, "std": spread, "cvar10": cvar10}
 KINDS = {"undiscounted": "return", "discounted": "discounted_return"}
 """Returns of evaluation episodes, and what an episode calls them."""
@@ -203,7 +205,7 @@ def _policies(cell: Cell, base: Cell, start: str) -> dict[str, Any] | None:
         ours, theirs = cell.evaluated(start, name), base.evaluated(start, name)
         if ours is not None and theirs is not None:
             found["seeds"] = [len(ours), len(theirs)]
-            found[kind] = _returns_of_policies(ours, theirs)
+            found[kind] = returns_of_policies(ours, theirs)
     if not found:
         return None
     for name in ("terminated", "length"):
@@ -213,8 +215,9 @@ def _policies(cell: Cell, base: Cell, start: str) -> dict[str, Any] | None:
     return found
 
 
-def _returns_of_policies(ours: Floats, theirs: Floats) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+def returns_of_policies(ours: Floats, theirs: Floats) -> dict[str, Any]:
+    """Returns [n, E] of an arm's and [m, E] of the baseline's final policies, one row a seed."""
+    found: dict[str, Any] = {"mean_beyond_goal": _beyond_goal(mean(ours), mean(theirs))}
     for name, statistic in _WITHIN.items():
         by_seed = statistic(ours), statistic(theirs)
         found[name] = _difference(*by_seed)
@@ -222,6 +225,12 @@ def _returns_of_policies(ours: Floats, theirs: Floats) -> dict[str, Any]:
             found[f"{name}_ratio"] = times.value
             found[f"{name}_ratio_interval"] = times.interval
     return found
+
+
+def _beyond_goal(ours: Floats, theirs: Floats) -> dict[str, Any]:
+    """Means of policies over the least that a safe policy may have; also of means below 0."""
+    times = GOAL_MEAN if theirs.mean() > 0 else 2 - GOAL_MEAN
+    return _difference(ours, times * theirs)
 
 
 def _difference(ours: Floats, theirs: Floats) -> dict[str, Any]:

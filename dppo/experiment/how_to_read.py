@@ -22,9 +22,10 @@ POLICIES = (
     "brackets are of its episodes alone. Against the baseline one number a seed is compared, "
     "with Welch's 95 % interval: ratios are of geometric means over seeds, by logarithms. *30"
     " % less spread for 5 % of the mean*: *yes* if the interval of the ratio of spreads is "
-    "below 0.7 and that of the means above 0.95, *no* if one of them excludes that, else "
-    "*open*. Where episodes end in falls, the undiscounted spread is mostly that of their "
-    "lengths; the discounted one shows the next hundred steps or so."
+    "below 0.7 and that of the mean minus 0.95 of the baseline's (1.05, where that is below 0) "
+    "above 0, *no* if one of them excludes that, else *open*. Where episodes end in falls, the "
+    "undiscounted spread is mostly that of their lengths; the discounted one shows the next "
+    "hundred steps or so."
 )
 SIGMA = (
     "σ predicts the variance of the λ-return; its root is set beside the standard deviation "

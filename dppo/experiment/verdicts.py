@@ -3,10 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
+from dppo.experiment.compare import GOAL_SPREAD
 from dppo.experiment.significance import LEAST_FOR_SPREAD, SIGNIFICANT, has_tests
 
-GOAL_SPREAD, GOAL_MEAN = 0.7, 0.95
-"""What a safe policy's user would want: times the baseline's spread at most, mean at least."""
 ONE_SEED = "one seed shows nothing"
 Summary = Mapping[str, Any]
 
@@ -83,13 +82,12 @@ def of_goal(comparison: Summary, start: str, kind: str) -> str:
     found = comparison[start][kind]
     if min(comparison[start]["seeds"]) < 2:
         return ONE_SEED
-    ends = [found.get(f"{name}_ratio_interval") for name in ("std", "mean")]
-    if None in ends:
-        return "not judged: no interval of a ratio"
-    (least_spread, most_spread), (least_mean, most_mean) = ends
-    if most_spread <= GOAL_SPREAD and least_mean >= GOAL_MEAN:
+    spread, mean = found.get("std_ratio_interval"), found["mean_beyond_goal"]["interval"]
+    if spread is None or mean is None:
+        return "not judged: no interval"
+    if spread[1] <= GOAL_SPREAD and mean[0] >= 0:
         return "yes"
-    if least_spread > GOAL_SPREAD or most_mean < GOAL_MEAN:
+    if spread[0] > GOAL_SPREAD or mean[1] < 0:
         return "no"
-    reached = found["std_ratio"] <= GOAL_SPREAD and found["mean_ratio"] >= GOAL_MEAN
+    reached = found["std_ratio"] <= GOAL_SPREAD and found["mean_beyond_goal"]["difference"] >= 0
     return f"open; the estimate {'reaches' if reached else 'misses'} it"

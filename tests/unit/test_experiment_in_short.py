@@ -51,7 +51,7 @@ def test_falls_and_the_goal_are_told():
         found["terminated"] = {"difference": falls, "interval": [falls - 0.1, falls + 0.1]}
         found["undiscounted"] |= {
             "std_ratio": spread, "std_ratio_interval": [spread - 0.05, spread + 0.05],
-            "mean_ratio_interval": [0.98, 1.02],
+            "mean_beyond_goal": {"difference": 0.05, "interval": [0.03, 0.07]},
         }  # fmt: skip
     arms = results_of({"HalfCheetah-v4": {}})["environments"]["HalfCheetah-v4"]["arms"]
     free = arms["psi-paper"]["against_baseline"]["free"]
@@ -71,7 +71,9 @@ def test_the_goal_counts_environments_where_some_arm_reaches_it():
             arm = copy.deepcopy(arms["psi-paper"])
             arm["against_baseline"]["free"]["undiscounted"] |= {
                 "std_ratio": spread, "std_ratio_interval": [spread - 0.05, spread + 0.05],
-                "mean_ratio_interval": [0.96 if env == "Ant-v4" else 0.9, 1.02],
+                "mean_beyond_goal": {
+                    "difference": 0.05, "interval": [0.01 if env == "Ant-v4" else -0.05, 0.07],
+                },
             }  # fmt: skip
             arms[name] = arm
     assert goal_sentence(results) == (

@@ -2,9 +2,11 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from dppo.experiment.claim_rows import rows
+from dppo.experiment.compare import returns_of_policies
 from dppo.experiment.verdicts import of_goal, of_interval, of_policies, of_spread
 from tests.experiment_folders import evaluated, leave, planned, report_of
 
@@ -25,10 +27,10 @@ def test_judgements_follow_the_interval(interval, seeds, sentence):
 
 
 def against(std, mean, seeds=5):
-    """A comparison with these ratios, each with a tenth to both sides."""
-    found: dict[str, Any] = {}
-    for name, ratio in (("std", std), ("mean", mean)):
-        found |= {f"{name}_ratio": ratio, f"{name}_ratio_interval": [ratio - 0.1, ratio + 0.1]}
+    """A comparison with this ratio of spreads, and a mean so many times the baseline's, 100."""
+    found: dict[str, Any] = {"std_ratio": std, "std_ratio_interval": [std - 0.1, std + 0.1]}
+    beyond = 100 * (mean - 0.95)
+    found["mean_beyond_goal"] = {"difference": beyond, "interval": [beyond - 10, beyond + 10]}
     found["mean"] = {"interval": [-1.0, 1.0]}
     return {"free": {"seeds": [seeds, 5], "undiscounted": found}}
 
@@ -47,6 +49,35 @@ def against(std, mean, seeds=5):
 )
 def test_a_goal_is_reached_or_missed_when_intervals_say_so_and_else_open(std, mean, sentence):
     assert of_goal(against(std, mean), "free", "undiscounted") == sentence
+
+
+@pytest.mark.parametrize(
+    ("times", "below", "sentence"),
+    # of means around -100 or 100, one of them 10 above: the goal is 5 % of them
+    [
+        (-1, 0, "yes"),
+        (-1, 10, "no"),
+        (1, 0, "yes"),
+        (1, 10, "no"),
+    ],
+)
+def test_a_mean_below_0_may_be_5_percent_lower_too(times, below, sentence):
+    around = times * 100 + np.array([-0.5, 0.5, 0.0])[:, None]
+    apart = np.array([-1.0, 1.0, -1.0, 1.0])
+    ours, theirs = around - below + 0.1 * np.array([[1], [2], [3]]) * apart, around + 9 * apart
+    theirs[0] *= 0.999  # or all spreads would be equal
+    found = {"free": {"seeds": [3, 3], "undiscounted": returns_of_policies(ours, theirs)}}
+    assert of_goal(found, "free", "undiscounted") == sentence
+
+
+def test_a_baseline_with_means_on_both_sides_of_0_is_judged():
+    apart = np.array([-1.0, 1.0, -1.0, 1.0])
+    theirs = np.array([[-50.0], [20.0], [90.0]]) + [[9], [10], [11]] * apart
+    ours = np.array([[900.0], [1000.0], [1100.0]]) + [[1], [2], [3]] * apart
+    found = returns_of_policies(ours, theirs)
+    assert "mean_ratio" not in found
+    comparison = {"free": {"seeds": [3, 3], "undiscounted": found}}
+    assert of_goal(comparison, "free", "undiscounted") == "yes"
 
 
 def test_one_seed_decides_nothing_about_policies():
