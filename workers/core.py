@@ -28,9 +28,9 @@ class Core:
     another one: workers change places again and again, each time to a cold cache. But beside
     another program one that cannot move is slower than one that can. Bits do not depend on it.
 
-    Only the thread that works is kept, and only from its second half second of work on: what it
-    has started until then, such as an environment's own threads, may use all cores. If somebody
-    else gives this thread other cores, it is left alone from then on.
+    Only the thread that works is kept, and only after half a second of work: what it has started
+    until then, or right after `release`, such as an environment's own threads, may use all cores.
+    If somebody else gives this thread other cores, it is left alone from then on.
     """
 
     def __init__(
@@ -67,6 +67,13 @@ class Core:
             self._look(is_alone=self._alone >= _ALONE * self._worked)
             self._worked = self._alone = 0.0
 
+    def release(self) -> None:
+        """Go anywhere until after the next half second of work."""
+        if self._keeps:
+            self._keep(False)
+        self._begun, self._before = self._clock(), self._computed()
+        self._worked = self._alone = 0.0
+
     def awake(self, look: Callable[[], Found | None]) -> Found | None:
         """What `look` finds within a moment, without going to sleep; None: nothing, or not alone.
 
@@ -91,8 +98,8 @@ class Core:
 
     def _keep(self, keeps: bool) -> None:
         if os.sched_getaffinity(0) != (self._own if self._keeps else self._all):
-            self._own = set()  # somebody else decides
+            self._own, self._keeps = set(), False  # somebody else decides
             return
-        self._keeps = keeps
         with contextlib.suppress(OSError):  # the cores were taken away meanwhile
             os.sched_setaffinity(0, self._own if keeps else self._all)
+            self._keeps = keeps

@@ -201,9 +201,10 @@ class Member:
                 f"the learner's settings are not those of this version: {error}; install the same "
                 "dppo version on learner and workers"
             ) from error
+        self._core.release()
         env = make_env(config.run)
         spaces = spaces_of(env)
-        self._worker = Worker(self._name, self._link, spaces, config)
+        self._worker = Worker(self._name, self._link, spaces, config, self._core)
         ready = Ready(
             worker=self._name,
             generation=welcome.generation,

@@ -31,6 +31,7 @@ from dppo.spaces import Spaces
 from dppo.sums import Block, aligned_blocks, members, sum_rows
 from dppo.wire.links import WorkerLink
 from dppo.wire.messages import Collect, Collected, Gradient, Measure, Measured, Restore, Update
+from workers.core import Core
 from workers.slots import Slots
 
 Float32 = NDArray[np.float32]
@@ -50,8 +51,17 @@ class OutOfStepError(Exception):
 class Worker:
     """The slots of one process. `perform` answers one message of the learner."""
 
-    def __init__(self, name: str, link: WorkerLink, spaces: Spaces, config: Config) -> None:
+    def __init__(
+        self,
+        name: str,
+        link: WorkerLink,
+        spaces: Spaces,
+        config: Config,
+        core: Core | None = None,
+    ) -> None:
+        """Nothing is built yet; `core` is let go of when environments are."""
         self._name, self._link, self._config = name, link, config
+        self._core = core or Core()
         self._networks = Networks.build(spaces, config)
         self._distribution = distribution_of(spaces)
         self._slots: Slots | None = None
@@ -230,6 +240,7 @@ class Worker:
             slots.close()
             self._slots = slots = None
             give_back_memory()
+        self._core.release()  # environments may have threads of their own
         if task.iteration == 0:
             self._slots = Slots.fresh(task.slots, self._config)
             return self._slots

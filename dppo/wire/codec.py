@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from dppo.errors import WireError
 from dppo.wire.messages import Message
 
-VERSION = 3
+VERSION = 4
+"""Another one for every change of messages or snapshots: a mixed cluster is told so at once."""
 MAX_HEADER = 1 << 20
 """Bytes of the longest header."""
 MAX_BODY = 1 << 30

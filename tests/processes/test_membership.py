@@ -109,9 +109,12 @@ def test_a_member_that_is_asked_for_what_it_does_not_have_joins_anew():
 
 
 class CountingCore(Core):
-    """How often work began and was done."""
+    """How often work began and was done, and the core was let go of."""
 
-    begun = done = 0
+    begun = done = released = 0
+
+    def release(self):
+        self.released += 1
 
     def __enter__(self):
         self.begun += 1
@@ -127,6 +130,7 @@ def test_tasks_are_done_on_the_workers_core_and_nothing_else_is():
     meeting.says(welcome(1), update(1), welcome(2), restore, restore, update(1), END)
     assert meeting.member.live() == END
     assert (core.begun, core.done) == (3, 3)  # the last is a task of an older learner
+    assert core.released == 2  # an environment is made for every learner
 
 
 class SleeplessCore(Core):

@@ -14,6 +14,7 @@ from dppo.normalizer import Statistics
 from dppo.wire.codec import encode
 from dppo.wire.messages import Collect, Collected, Restore, Update
 from tests.support import ROOT
+from workers.core import Core
 from workers.envs import make_env, quiet, spaces_of
 from workers.worker import OutOfStepError, Worker
 
@@ -39,7 +40,7 @@ class Link:
 class Story:
     """One worker, asked by hand."""
 
-    def __init__(self, env, exact=True):
+    def __init__(self, env, exact=True, core=None):
         quiet()
         run = RunConfig(env=env, env_kwargs=json.dumps({"max_episode_steps": 20}), seed=3)
         self.config = Config(
@@ -50,7 +51,7 @@ class Story:
         self.spaces = spaces_of(make_env(run))
         self.parameters = Networks.build(self.spaces, self.config).initial(self.config)
         self.link = Link()
-        self.worker = Worker("w", self.link, self.spaces, self.config)
+        self.worker = Worker("w", self.link, self.spaces, self.config, core)
         self.snapshots = {}
 
     def collect(self, iteration, slots):
@@ -133,6 +134,27 @@ def test_without_exact_environments_every_move_is_told():
     story.restore(2, 2, story.snapshots[1])
     story.collect(2, (0, 2))
     assert not any(m.exact for m in story.link.sent)
+
+
+class ReleasedCore(Core):
+    """How often it was let go of."""
+
+    released = 0
+
+    def release(self):
+        self.released += 1
+
+
+def test_environments_that_are_made_later_on_may_use_all_cores_too():
+    core = ReleasedCore()
+    story = Story("Hopper-v5", core=core)
+    story.collect(0, (0,))
+    assert core.released == 1
+    story.collect(1, (0,))
+    assert core.released == 1
+    story.restore(2, 1, story.snapshots[0])
+    story.collect(2, (0, 1))
+    assert core.released == 2
 
 
 QUICK_STEPS = """

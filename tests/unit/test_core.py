@@ -156,15 +156,40 @@ def test_work_is_counted_and_waiting_is_not(moves):
     assert moves == [{2}]
 
 
-def test_whom_somebody_else_has_moved_is_left_alone(moves):
+def test_whom_somebody_else_has_moved_is_left_alone_and_sleeps(moves, monkeypatch):
     time_ = Time()
-    core = time_.core(0)
+    core, question = time_.core(0), Question(time_, monkeypatch, after=0)
     time_.work(core, 0.5)
     moves.append({5})  # taskset
     time_.share = 0.5
     for _ in range(100):
         time_.work(core, 1.0)
     assert moves == [{2}, {5}]
+    assert core.awake(question.look) is None
+
+
+def test_it_lets_go_for_what_is_started_and_takes_its_core_after_half_a_second_again(moves):
+    time_ = Time()
+    core = time_.core(0)
+    core.release()
+    time_.work(core, 0.5)
+    core.release()
+    assert moves == [{2}, ALL]
+    time_.work(core, 0.48)
+    assert len(moves) == 2
+    time_.work(core, 0.02)
+    assert moves[2:] == [{2}]
+
+
+def test_what_it_worked_before_it_let_go_does_not_count(moves):
+    time_ = Time()
+    core = time_.core(0)
+    with core:
+        time_.now += 10.0  # builds environments
+        core.release()
+        time_.now += 0.4
+        time_.computed += 0.4
+    assert moves == []
 
 
 @pytest.mark.parametrize("number", [-1, 3])
@@ -184,9 +209,11 @@ def test_cores_that_are_taken_away_meanwhile_do_not_matter(moves, monkeypatch):
     monkeypatch.setattr(os, "sched_setaffinity", refuse)
     time_ = Time()
     core = time_.core(0)
+    question = Question(time_, monkeypatch, after=0)
     time_.work(core, 1.0)
     time_.work(core, 1.0)
     assert moves == []
+    assert core.awake(question.look) is None  # it has none
 
 
 def test_without_affinities_nothing_is_kept(monkeypatch):

@@ -1,6 +1,7 @@
 """Every message comes back as it was sent; whatever is not one is refused with a sentence."""
 
 import math
+import zlib
 from dataclasses import fields, replace
 from typing import get_args
 
@@ -11,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dppo.errors import WireError
+from dppo.store.contents import SNAPSHOT_FORM
 from dppo.wire import messages
 from dppo.wire.codec import (
     MAX_BODY,
@@ -134,6 +136,13 @@ def test_what_is_not_msgpack_is_refused(header):
 )  # fmt: skip
 def test_a_header_of_another_form_is_refused(header):
     refused(Frame(msgpack.packb(header), b""), "a header is not .version, message name, field")
+
+
+def test_a_version_means_one_form_of_every_message():
+    frames = [encode(message) for message in EXAMPLES]
+    travelled = zlib.crc32(b"".join(frame.header + frame.body for frame in frames))
+    spoken = VERSION, SNAPSHOT_FORM, travelled
+    assert spoken == (4, 3, 1603234782), "another protocol needs another VERSION"
 
 
 @pytest.mark.parametrize("version", [0, 1, VERSION + 1, -1, 2**63])
