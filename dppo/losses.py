@@ -15,6 +15,7 @@ from dppo.config import KlConfig, SafetyConfig
 from dppo.moments import FloatArray, Moments
 
 Float32 = NDArray[np.float32]
+_LEAST = 1e-30
 
 
 def policy_objective(gain: Float32, kl: FloatArray, beta: float, config: KlConfig) -> FloatArray:
@@ -70,7 +71,8 @@ class AdvantageStatistics:
         Both are reward² (unless raw rewards feed δ of σ), so this floor has no unit. Without it, a
         variance that is all but zero would be blown up to unit size.
         """
-        v, sigma, joint = (float(std) for std in self.moments.std())
+        v, _, joint = (float(std) for std in self.moments.std())
+        sigma = float(self.moments.std(floor=_LEAST)[1])  # reward²: far below what rewards can be
         return v, max(sigma, 1e-3 * v * v), joint
 
 

@@ -50,6 +50,7 @@ def dual_psi(psi: float, start_sigma: float, config: SafetyConfig) -> float:
     """
     if math.isinf(config.variance_limit):
         return psi
+    start_sigma = max(start_sigma, 0.0)  # a linear head may be below
     violation = min(start_sigma / config.variance_limit - 1, 1.0)
     return max(0.0, psi + config.variance_limit_rate * violation)
 

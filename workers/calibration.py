@@ -33,7 +33,7 @@ from workers.spreads import Spread, far_from_limits
 Float64 = NDArray[np.float64]
 Interval = tuple[float, float]
 _BOOTSTRAP = 2
-"""Second index of the stream that intervals are drawn from; see `workers.play.Plan.noise`."""
+"""Third index of the stream that intervals are drawn from; see `workers.play.Plan.noise`."""
 _BINS = 10
 
 
@@ -94,8 +94,12 @@ class Calibration:
 class Calibrator:
     """Takes episodes from fixed starts, one at a time; gives the calibration."""
 
-    def __init__(self, policy: FrozenPolicy) -> None:
+    def __init__(self, policy: FrozenPolicy, max_steps: int = 0) -> None:
         """Refuse a run whose σ is not the variance of a return.
+
+        Args:
+            policy: that plays.
+            max_steps: after so many its episodes are cut; 0: as the environment says.
 
         Raises:
             UsageError: says which setting.
@@ -111,12 +115,23 @@ class Calibrator:
             )
         trace = returns.return_trace
         exact = replace(returns, gae_lambda=trace, lambda_ret=trace, targets="monte-carlo")
-        self._policy = policy
+        self._policy, self._max_steps = policy, max_steps
         self._config = replace(policy.config, returns=exact, safety=safety)
         self._found: dict[tuple[int, int], Spread] = {}
 
     def note(self, episode: Episode, trajectory: Trajectory) -> None:
-        """One more episode, from a fixed start."""
+        """One more episode, from a fixed start.
+
+        Raises:
+            UsageError: it was cut, and σ is that of episodes which are not.
+        """
+        is_cut = 0 < self._max_steps <= len(trajectory.reward) and not episode.terminated
+        if is_cut and self._config.rollout.time_limit == "time-feature":
+            raise UsageError(
+                f"an episode was cut by --max-steps {self._max_steps} with --calibration, and the "
+                "run has --time-limit time-feature: its sigma is of episodes up to the "
+                "environment's own limit; leave one of the two out, or give more steps"
+            )
         key = episode.plan.place, episode.plan.number
         self._found[key] = self._spread(episode, trajectory)
 

@@ -18,7 +18,7 @@ from workers.policy import FrozenPolicy
 
 Float64 = NDArray[np.float64]
 _BOOTSTRAP = 1
-"""Second index of the stream that intervals are drawn from; see `workers.play.Plan.noise`."""
+"""Third index of the stream that intervals are drawn from; see `workers.play.Plan.noise`."""
 _MEASURES: dict[str, Measure] = {
     "mean": lambda values: values.mean(axis=-1),
     "std": spread,

@@ -61,9 +61,9 @@ def _worst(bins: object) -> float | None:
     ratios = [
         one["predicted_std"] / one["empirical_std"]
         for one in (bins if isinstance(bins, Sequence) else ())
-        if one["empirical_std"] > 0 and one["predicted_std"] > 0
+        if one["empirical_std"] > 0
     ]
-    return max(ratios, key=lambda ratio: abs(np.log(ratio)), default=None)
+    return max(ratios, key=lambda ratio: abs(np.log(ratio)) if ratio else np.inf, default=None)
 
 
 def _of_starts(starts: object, name: str) -> float | None:

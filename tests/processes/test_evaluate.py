@@ -163,10 +163,12 @@ def test_dppo_eval_cuts_episodes_that_never_end(harness, runs):
 
 def test_a_sigma_up_to_the_time_limit_is_not_compared_with_returns_that_are_cut(harness, runs):
     run = runs("InvertedPendulum-v5", "--time-limit", "time-feature")
-    words = ("dppo", "eval", str(run), "--calibration", "--max-steps", "5")
-    process = harness.start(*words)
+    words = ("dppo", "eval", str(run), "--calibration", "--episodes", "2", "--max-steps")
+    process = harness.start(*words, "2")
     assert process.wait() == 2, process.text
-    assert "--max-steps is 5 with --calibration, and the run has --time-limit" in process.text
+    assert "by --max-steps 2 with --calibration, and the run has --time-limit" in process.text
+    whole = harness.start(*words, "1000000")
+    assert whole.wait() == 0, whole.text
 
 
 def test_dppo_eval_prints_mean_spread_tail_falls_and_intervals(harness, run_dir):

@@ -99,9 +99,11 @@ def test_the_std_of_a_sigma_is_at_least_a_thousandth_of_a_vs_variance():
     np.testing.assert_allclose(combined, [-1 + 0.25, 1 - 0.25], rtol=1e-7)
 
 
-def test_the_floor_has_no_unit_of_its_own():
-    a_v, a_sigma = np.array([-2.0, 2.0, 1.0]), np.array([0.001, -0.001, 0.0])
-    config, scale = SafetyConfig(psi=0.3), 2.0**-7  # reward times c: A_V times c, A_sigma c²
+@pytest.mark.parametrize("spread", [0.001, 1.0])
+@pytest.mark.parametrize("scale", [2.0**-7, 2.0**-17])
+def test_the_floor_has_no_unit_of_its_own(spread, scale):
+    a_v, a_sigma = np.array([-2.0, 2.0, 1.0]), spread * np.array([1.0, -1.0, 0.0])
+    config = SafetyConfig(psi=0.3)  # reward times c: A_V times c, A_sigma c²
     one = combine(a_v, a_sigma, 0.3, _statistics([(a_v, a_sigma)], 0.3), config)
     scaled = (scale * a_v, scale**2 * a_sigma)
     other = combine(*scaled, 0.3, _statistics([scaled], 0.3), config)

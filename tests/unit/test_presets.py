@@ -9,8 +9,11 @@ from dppo.config import Config
 from dppo.presets import PRESETS, authors_2019, default, heess2017, paper
 
 ENVS = ["HalfCheetah-v4", "Hopper-v4", "Ant-v4", "Walker2d-v4"]
-SIZES = {"HalfCheetah": (17, 6), "Hopper": (11, 3), "Ant": (27, 8), "Walker2d": (17, 6)}
-"""Observation and action size of the -v4 environments."""
+SIZES = {
+    "HalfCheetah": (17, 6), "Hopper": (11, 3), "Ant": (27, 8), "Walker2d": (17, 6),
+    "Ant-v5": (105, 8),
+}  # fmt: skip
+"""Observation and action size, of -v4 and, where no other is here, -v5."""
 
 
 @pytest.mark.parametrize("env", [*ENVS, "Humanoid-v5", "CartPole-v1"])
@@ -77,9 +80,10 @@ def test_paper_learns_from_20_full_episodes_or_5_of_half_cheetah(env, episodes):
     assert rollout.window == 0
 
 
-@pytest.mark.parametrize("env", ENVS)
+@pytest.mark.parametrize("env", [*ENVS, "Ant-v5", "Hopper-v5", "workers.hazards:AntRiskySpeed-v5"])
 def test_paper_has_the_step_sizes_of_its_network_sizes(env):
-    obs, action = SIZES[env.split("-")[0]]
+    kind = next(kind for kind in SIZES if kind in env)
+    obs, action = SIZES.get(kind + env[-3:], SIZES[kind])
     inputs = obs + 1  # the time feature
     policy = math.isqrt(inputs * 10 * action * 10)
     critic = math.isqrt(inputs * 10 * 5)

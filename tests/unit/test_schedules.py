@@ -90,6 +90,7 @@ LIMIT = SafetyConfig(psi=0.5, variance_limit=2.0, variance_limit_rate=0.125)
         (0.5, 2.0, 0.5),  # on it
         (0.0, 0.0, 0.0),  # -0.125, but ψ is never negative
         (0.5, 1e9, 0.625),  # a violation counts as 1 at most: up by 0.125
+        (0.5, -1e9, 0.375),  # and as -1 at least, also where σ's head is linear
     ],
 )
 def test_dual_step_of_psi(psi, start_sigma, after):

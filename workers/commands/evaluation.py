@@ -9,7 +9,7 @@ from dppo.config import RunConfig
 from dppo.settings import require
 
 if TYPE_CHECKING:
-    from workers.calibration import Calibration, Calibrator
+    from workers.calibration import Calibration
     from workers.policy import FrozenPolicy
 
 
@@ -74,13 +74,14 @@ class EvalArgs:
 def run(args: EvalArgs) -> int:
     """Play, and print."""
     from dppo.store.contents import chosen, config_in
+    from workers.calibration import Calibrator
     from workers.envs import quiet
     from workers.evaluate import evaluate, policy_of
 
     quiet()
     path, checkpoint = chosen(args.run, args.which)
     policy = policy_of(checkpoint, args.env, args.env_kwargs)
-    calibrator = _calibrator(policy, args.max_steps) if args.calibration else None
+    calibrator = Calibrator(policy, args.max_steps) if args.calibration else None
     result = evaluate(
         policy,
         episodes=args.episodes,
@@ -129,24 +130,6 @@ def _where(policy: "FrozenPolicy", trained: RunConfig) -> str:
         for run in (here, trained)
     )
     return f"{one} (trained on {other})"
-
-
-def _calibrator(policy: "FrozenPolicy", max_steps: int) -> "Calibrator":
-    """For episodes that are cut after so many steps, unless `max_steps` is 0.
-
-    Raises:
-        UsageError: sigma of this run is no variance of a return, or not of a return that is cut.
-    """
-    from dppo.errors import UsageError
-    from workers.calibration import Calibrator
-
-    if max_steps and policy.config.rollout.time_limit == "time-feature":
-        raise UsageError(
-            f"--max-steps is {max_steps} with --calibration, and the run has --time-limit "
-            "time-feature: its sigma is of episodes up to the environment's own limit; leave one "
-            "of the two out"
-        )
-    return Calibrator(policy)
 
 
 def _table(calibration: "Calibration") -> list[str]:
