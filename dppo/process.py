@@ -7,6 +7,7 @@ import io
 import logging
 import math
 import os
+import select
 import signal
 import sys
 import time
@@ -17,6 +18,7 @@ from types import FrameType
 from typing import NoReturn, TextIO, TypeVar
 
 from dppo.errors import DppoError, UsageError
+from dppo.signals import heeded
 
 Args = TypeVar("Args")
 THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
@@ -36,6 +38,8 @@ _TIDY_SECONDS = 10.0
 """A command that has been told to end has so long before a further signal ends it at once."""
 
 
+_LINE_SECONDS = 1.0
+"""Longest wait for somebody to take a line."""
 _AGAIN_SECONDS = 0.05
 """A signal that comes during an import is looked at again after so long."""
 _IMPORT_SECONDS = 5.0
@@ -152,9 +156,8 @@ class _Ending:
     def listen(self) -> None:
         """Take over the signals that ask for an end."""
         signal.signal(signal.SIGALRM, self._again)
-        signal.signal(signal.SIGTERM, self.arrived)
-        if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:  # as it is behind nohup and &
-            signal.signal(signal.SIGINT, self.arrived)
+        for number in heeded():
+            signal.signal(number, self.arrived)
 
     def begin(self) -> None:
         """From here on signals end nothing, for a while."""
@@ -204,7 +207,8 @@ def leave(work: Callable[[], int], delivers: bool = False) -> NoReturn:
     code = _exit_code(_Ending(), work, delivers)
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):  # a pipe that nobody reads, a file on a full disk
-            stream.flush()
+            if delivers or _takes(stream):
+                stream.flush()
     os._exit(code)
 
 
@@ -248,7 +252,16 @@ def _prepare() -> None:
 def say(text: str, stream: TextIO | None = None) -> None:
     """One line, to stdout unless told otherwise, if anybody takes it.
 
-    A full disk or a closed pipe costs the line, not the run.
+    A full disk, a closed pipe, or a terminal that has been stopped costs the line, not the run.
     """
     with contextlib.suppress(OSError):
-        print(text, file=stream, flush=True)
+        if _takes(stream or sys.stdout):
+            print(text, file=stream, flush=True)
+
+
+def _takes(stream: TextIO) -> bool:
+    """Would a line be taken, within a moment?"""
+    try:
+        return bool(select.select([], [stream], [], _LINE_SECONDS)[1])
+    except (OSError, TypeError, ValueError):  # nothing that can be asked
+        return True

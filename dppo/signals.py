@@ -9,6 +9,12 @@ import signal
 import time
 
 
+def heeded() -> list[signal.Signals]:
+    """Those that ask for an end, but SIGINT where it is ignored, as behind nohup and `&`."""
+    ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+    return [signal.SIGTERM] if ignored else [signal.SIGTERM, signal.SIGINT]
+
+
 class Signals:
     """SIGTERM, SIGINT and SIGCHLD as values that can be waited for."""
 
@@ -17,7 +23,7 @@ class Signals:
         self._reader, writer = os.pipe()
         os.set_blocking(writer, False)
         signal.set_wakeup_fd(writer)
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGCHLD):
+        for number in (*heeded(), signal.SIGCHLD):
             signal.signal(number, lambda _number, _frame: None)
 
     def next(self, timeout: float | None) -> int | None:

@@ -149,9 +149,9 @@ def _train(config: Config, args: ProcessArgs, supervisor: int | None) -> int:
     address = listening_address(args.listen, args.insecure)
     alarm = Alarm()
     link = SocketLearnerLink(ZenohLearnerLink(address, alarm.ring), alarm)
+    signals = StopSignals(supervisor)
     folder = _folder(config, args, original)
     log_file = log_to_file(folder.path / "log.txt")
-    signals = StopSignals(supervisor)
     count = args.local_workers
     if count < 0:
         count = min(usable_cores(), config.rollout.slots)

@@ -126,13 +126,14 @@ class Exchange:
         """Ask all slots, wait until the round may close, take what else is there; the round."""
         round_ = self._questions.open(task, quorum)
         self._members.asked(type(task))
+        asked = self._clock()
         self.meanwhile.do()
         self._pause()
         begun = remarked = self._clock()
         deadline = self._deadlines.open(round_, begun)
         if isinstance(task, Collect):
             for worker in set(self._leases.holder.values()):
-                self._members.pace.begin(worker, self._leases.slots_of(worker), begun)
+                self._members.pace.begin(worker, self._leases.slots_of(worker), asked)
         while not round_.may_close:
             left = deadline - self._clock()
             self._handle(min(_TICK, left) if left > 0 else _TICK)

@@ -103,8 +103,7 @@ class Original:
             raise UsageError(
                 f"{folder.path} holds a run that is no replay of {self.run}; give another folder"
             )
-        result = folder.path / "result.json"
-        if result.exists() and folder.read_json(result.name).get("status") == "finished":
+        if folder.is_finished:
             raise UsageError(
                 f"{folder.path} holds a finished replay of {self.run}; remove it to begin anew, "
                 "or give another folder"

@@ -5,15 +5,13 @@ import logging
 import time
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from dppo.config import Config
 from dppo.deadlines import Deadlines
-from dppo.errors import UsageError
 from dppo.leases import Leases
 from dppo.networks import Networks
-from dppo.sources import made_by, versions
+from dppo.sources import made_by
 from dppo.statistics import cvar
 from dppo.store.checkpoint import Checkpoint, newest_checkpoint, sha256
 from dppo.store.contents import SNAPSHOT_FORM, check_snapshots, was_exact
@@ -26,6 +24,8 @@ from learner.console import Console
 from learner.disk import Disk
 from learner.dropping import Accounts
 from learner.exchange import Exchange
+from learner.facts import check_environment, run_facts, sizes
+from learner.farewell import dismiss
 from learner.ledger import Ledger
 from learner.replay import Original
 from learner.report import Finished
@@ -54,7 +54,7 @@ class Session:
     ) -> None:
         """With an `original` it is run again, by its ledger."""
         self._config, self._folder, self._original = config, folder, original
-        self._look_after = look_after
+        self._link, self._look_after = link, look_after
         self._every = checkpoint_every
         self._made_by = made_by()
         self.generation = folder.next_generation()
@@ -77,6 +77,7 @@ class Session:
         )
         self._disk = Disk(folder.path, "the run's logs")
         self._saving = Saving(self._disk, folder.checkpoints, keep, self._checkpoint_facts)
+        self._is_saved = False
         self._ledger: Ledger | None = None
         self.state: State | None = None
 
@@ -93,10 +94,11 @@ class Session:
         if checkpoint is None:
             self.state = State.initial(networks, spaces.obs_size, self._config)
             if self._original is not None:
-                self._check_environment(self._original.facts, self._original.run)
+                check_environment(self._original.facts, self._facts, self._original.run)
             self._write_config(networks)
         else:
-            self._check_environment(self._folder.read_json("config.json"), self._folder.path)
+            before = self._folder.read_json("config.json")
+            check_environment(before, self._facts, self._folder.path)
             check_snapshots(checkpoint)
             self.state = State.from_checkpoint(checkpoint)
             self._exchange.exact = was_exact(checkpoint)
@@ -136,6 +138,8 @@ class Session:
         self._exchange.exact = was_exact(checkpoint)
         _, runlog = self._take_up_logs(self.state.iteration)
         runlog.close()
+        if not self._folder.is_finished:  # nor may its workers know
+            dismiss(self._link, "the run is finished")
         return self._result("finished")
 
     def save(self) -> None:
@@ -144,7 +148,8 @@ class Session:
         Raises:
             RunFailedError: it cannot be written, or not within the time that a stop may take.
         """
-        if self.state is not None:
+        if self.state is not None and not self._is_saved:
+            self._is_saved = True  # or will not be: a disk that hangs is not waited for twice
             self._saving.finish(self.state, most=_STOP_SECONDS)
 
     def interrupted(self) -> dict[str, object] | None:
@@ -190,6 +195,10 @@ class Session:
         console.show(report, speed)
 
     @property
+    def _facts(self) -> dict[str, Any]:
+        return run_facts(self._exchange.roster, self._made_by["code"])
+
+    @property
     def _all_steps(self) -> int:
         """Environment steps of the whole run."""
         return self._config.iterations * self._config.rollout.samples
@@ -210,36 +219,12 @@ class Session:
             "config": self._config.to_dict(),
             "env_steps": state.iteration * self._config.rollout.samples,
             "parameters_sha256": sha256(state.parameters),
-            "spaces": self._spaces(),
+            "spaces": sizes(self._exchange.roster),
             "snapshots": SNAPSHOT_FORM,
             "run": self._run_id,
             "generation": self.generation,
             "made_by": self._made_by,
             "exact": self._exchange.exact,
-        }
-
-    def _spaces(self) -> dict[str, Any]:
-        ready = self._exchange.roster.first
-        assert ready is not None
-        return {
-            "obs_size": ready.obs_size,
-            "action_kind": ready.action_kind,
-            "action_sizes": list(ready.action_sizes),
-        }
-
-    def _facts(self) -> dict[str, Any]:
-        """What decides the bits besides settings and seed."""
-        ready = self._exchange.roster.first
-        assert ready is not None
-        return {
-            "versions": versions(),
-            "code": self._made_by["code"],
-            "numerics": self._exchange.roster.numerics,
-            "environment": {
-                **self._spaces(),
-                "model_xml_sha256": ready.env_hash,
-                "moves_by": ready.exact,
-            },
         }
 
     def _write_config(self, networks: Networks) -> None:
@@ -249,33 +234,11 @@ class Session:
             {
                 "config": self._config.to_dict(),
                 **({} if original is None else {"replay_of": original.run_id}),
-                **self._facts(),
+                **self._facts,
                 "parameters": networks.size,
                 "iterations": self._config.iterations,
             },
         )
-
-    def _check_environment(self, before: dict[str, Any], path: Path) -> None:
-        """A run goes on, or again, in the environment it had; other versions are worth a warning.
-
-        Raises:
-            UsageError: sizes, model or snapshots are not the run's.
-        """
-        now = self._facts()
-        if before.get("environment") != now["environment"]:
-            raise UsageError(
-                f"{path} was trained on another environment: {before['environment']} "
-                f"then, {now['environment']} now; install the versions it names: "
-                f"{before['versions']}"
-            )
-        for name in ("versions", "numerics"):
-            if before[name] != now[name]:
-                log.warning(
-                    "%s were %s, are %s: do not expect the bits of an undisturbed run",
-                    name,
-                    before[name],
-                    now[name],
-                )
 
     def _result(self, status: str) -> dict[str, object]:
         assert self.state is not None

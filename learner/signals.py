@@ -14,6 +14,7 @@ from pathlib import Path
 from types import FrameType
 
 from dppo.process import Terminated
+from dppo.signals import heeded
 from learner.disk import Disk
 
 _LAST_LINES_SECONDS = 5.0
@@ -26,9 +27,11 @@ class StopSignals:
 
     def __init__(self, supervisor: int | None = None) -> None:
         """`supervisor` is the parent's process id, if this learner ends with its parent."""
-        self._asked, self._supervisor = False, supervisor
-        for number in (signal.SIGINT, signal.SIGTERM):
+        self._supervisor = supervisor
+        for number in heeded():
             signal.signal(number, self._arrived)
+        put_off, _ = signal.setitimer(signal.ITIMER_REAL, 0)  # one that came during an import
+        self._asked = put_off > 0
 
     def check(self) -> None:
         """Raise `Terminated` if a signal has arrived, or the supervisor is gone."""

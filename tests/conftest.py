@@ -1,5 +1,6 @@
 """Fixtures shared by several tests. Threads are set before NumPy is imported, as in a process."""
 
+import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,8 @@ from hypothesis import settings
 from dppo.process import one_thread
 
 one_thread()
+# Started in the background they would have it ignored, and so would the processes that they start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 from tests.support import SMALL, Harness  # noqa: E402  after the threads
 

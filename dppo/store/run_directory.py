@@ -75,6 +75,12 @@ class RunDirectory:
         """A run has left a checkpoint here."""
         return bool(names(self.checkpoints))
 
+    @property
+    def is_finished(self) -> bool:
+        """An earlier learner has brought the run to its end, and said so."""
+        there = (self.path / "result.json").exists()
+        return there and self.read_json("result.json").get("status") == "finished"
+
     def discard_unused(self) -> None:
         """Remove a folder that was made for a run that never began."""
         if self.is_new and not (self.path / "config.json").exists():

@@ -62,6 +62,13 @@ def new_memory() -> int | None:
     ordered = platform.machine().lower() in ("x86_64", "amd64")
     if not ordered or not hasattr(os, "memfd_create"):
         return None
-    descriptor = os.memfd_create("dppo")
-    os.ftruncate(descriptor, 2 * _SIZE)
+    descriptor = None
+    try:
+        descriptor = os.memfd_create("dppo")
+        os.ftruncate(descriptor, 2 * _SIZE)
+        mmap.mmap(descriptor, 2 * _SIZE).close()
+    except OSError:  # forbidden, or no room: the socket will do
+        if descriptor is not None:
+            os.close(descriptor)
+        return None
     return descriptor

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from dppo.errors import UsageError
+from dppo.pace import Pace
 from tests.story import (
     ALL,
     CATCHING_UP,
@@ -45,6 +46,17 @@ def test_what_is_left_for_meanwhile_is_done_once_the_question_is_put():
     story.players[0].collected(*ALL)
     story.collect()
     assert heard == ["Collect (0, 1, 2, 3)"]
+
+
+def test_a_workers_pace_counts_from_the_question_not_from_what_is_done_meanwhile(monkeypatch):
+    begun = []
+    monkeypatch.setattr(Pace, "begin", lambda _self, _worker, _slots, now: begun.append(now))
+    story = Story("w1")
+    asked = story.now
+    story.exchange.meanwhile.add(lambda: setattr(story, "now", asked + 4.0))
+    story.players[0].collected(*ALL)
+    story.collect()
+    assert begun[-1] == asked
 
 
 def test_a_worker_that_is_not_ready_or_has_no_proper_name_gets_no_task():

@@ -1,10 +1,12 @@
 """The learner dies between two lines of its loop, or stops: the same bits, nobody is blamed."""
 
+import contextlib
 import json
 import os
 import signal
 import subprocess
 import sys
+import termios
 
 import pytest
 
@@ -60,6 +62,24 @@ def test_a_learner_killed_after_the_last_checkpoint_only_has_to_say_so(harness, 
     assert iterations(run_dir) == ITERATIONS
 
 
+def test_workers_that_a_killed_learner_could_not_tell_hear_the_end_from_the_next_one(
+    harness, undisturbed
+):
+    run_dir, address = harness.folder / "run", free_address()
+    command = (*RUN, "--local-workers", "1", "--listen", address)
+    learner = harness.start(
+        "tests.trapped_learner", *command, "--run-dir", str(run_dir),
+        environment={"DPPO_TRAP": "Exchange.stop call 1"},
+    )  # fmt: skip
+    worker = harness.worker(address)
+    assert learner.wait() == -signal.SIGKILL, learner.text
+    assert iterations(run_dir) == ITERATIONS
+    assert not (run_dir / "result.json").exists()
+    outcome = harness.train(*command, run_dir=run_dir)
+    assert outcome["parameters_sha256"] == undisturbed
+    assert worker.wait() == 0, worker.text
+
+
 def test_a_run_that_is_not_exact_says_so_after_a_restart_too(harness):
     """A move of an environment that is not made exactly, then a pause."""
     run_dir, address = harness.folder / "run", free_address()
@@ -75,7 +95,34 @@ def test_a_run_that_is_not_exact_says_so_after_a_restart_too(harness):
     assert not after["exact"]
 
 
-@pytest.mark.parametrize("way", ["a pipe that nobody reads", "a full disk", "ascii"])
+def fill(pipe):
+    """Until it takes no byte more; who writes waits from then on."""
+    os.set_blocking(pipe, False)
+    with contextlib.suppress(BlockingIOError):
+        while os.write(pipe, b"x" * 4096):
+            pass
+    os.set_blocking(pipe, True)
+
+
+def test_a_terminal_that_was_stopped_stops_neither_the_run_nor_its_end(harness):
+    """As after Ctrl-S: what is printed waits in the kernel for somebody."""
+    run_dir, (reading, writing) = harness.folder / "run", os.openpty()
+    words = [sys.executable, "-m", "learner", *RUN, "--total-timesteps", str(10**6 * 8 * 64),
+             "--local-workers", "1", "--run-dir", run_dir]  # fmt: skip
+    termios.tcflow(writing, termios.TCOOFF)
+    learner = subprocess.Popen(words, stdout=writing, stderr=subprocess.PIPE)
+    os.close(writing)
+    wait_until(lambda: iterations(run_dir) >= 20, "iterations")
+    learner.send_signal(signal.SIGTERM)
+    _, errors = learner.communicate(timeout=30)
+    os.close(reading)
+    assert learner.returncode == 0, errors
+    assert result(run_dir)["status"] == "stopped"
+
+
+@pytest.mark.parametrize(
+    "way", ["a pipe that nobody reads", "a full pipe", "a full disk", "ascii"]
+)
 def test_output_that_nobody_takes_costs_no_bit(harness, undisturbed, way):
     run_dir = harness.folder / "run"
     words = [sys.executable, "-m", "learner", *RUN, "--local-workers", "2", "--run-dir", run_dir]
@@ -84,7 +131,9 @@ def test_output_that_nobody_takes_costs_no_bit(harness, undisturbed, way):
     if way == "a full disk":
         os.close(writing)
         writing = os.open("/dev/full", os.O_WRONLY)
-    if way != "ascii":
+    if way == "a full pipe":
+        fill(writing)
+    elif way != "ascii":
         os.close(reading)
     learner = subprocess.Popen(words, stdout=writing, stderr=subprocess.PIPE, env=environment)
     os.close(writing)

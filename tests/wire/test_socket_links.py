@@ -1,9 +1,11 @@
 """What only a pair of sockets can do wrong, and what it does about it."""
 
+import errno
 import os
 import socket
 import struct
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -151,6 +153,17 @@ def test_processes_that_a_worker_starts_inherit_nothing_of_the_pair(learner):
         os.fstat(copies[1])  # the memory is mapped: its descriptor is not kept
     link.close()
     inherited.close()
+
+
+@pytest.mark.parametrize("call", ["memfd_create", "ftruncate"])
+def test_where_memory_cannot_be_shared_bodies_take_the_socket(monkeypatch, call):
+    def refuse(*_arguments):
+        raise OSError(errno.ENOSYS, "Function not implemented")
+
+    before = sorted(Path("/proc/self/fd").iterdir())
+    monkeypatch.setattr(os, call, refuse)
+    assert new_memory() is None
+    assert sorted(Path("/proc/self/fd").iterdir()) == before
 
 
 def test_a_cell_is_free_again_once_its_body_was_taken():
