@@ -104,6 +104,7 @@ class Puppet:
             advantages=_moments(3),
             fit=_moments(3),
             sigma_target=_moments(1),
+            reward=_moments(1),
             start_sigma=_moments(1),
             episodes=np.array([100.0, 200.0]),
             exact=True,

@@ -29,7 +29,7 @@ def less_variable(reward: Values, mean: float, weight: float) -> Values:
 
     Args:
         reward: [T, E] r_t, raw.
-        mean: y, of the newest episodes of all slots.
+        mean: y, over all steps of the iteration before.
         weight: κ > 0 [1/reward]; Bisi et al. call it λ, others c.
     """
     return reward - weight * np.square(reward) + 2 * weight * mean * reward

@@ -226,6 +226,7 @@ class Chief:
             iteration=state.iteration + 1,
             parameters=self._parameters,
             statistics=statistics,
+            mean_reward=float(merged([answer.reward for answer in collected]).mean[0]),
             dropped_gradients=state.dropped_gradients + training.dropped,
             snapshots={answer.slot: answer.snapshot for answer in collected},
         )

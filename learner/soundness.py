@@ -55,8 +55,8 @@ class Expected:
                 return {"vector": self.parameter_count, "sums": len(Sums.__slots__)}
             case Collected():
                 return {
-                    "obs": 1 + 2 * self.spaces.obs_size, "returns": 3, "advantages": 7, "fit": 7,
-                    "sigma_target": 3, "start_sigma": 3,
+                    "obs": 1 + 2 * self.spaces.obs_size, "returns": 3, "reward": 3,
+                    "advantages": 7, "fit": 7, "sigma_target": 3, "start_sigma": 3,
                     "episodes": 2 * (len(answer.episodes) // 2),
                 }  # fmt: skip
             case Measured():
@@ -68,7 +68,7 @@ class Expected:
             case Gradient():
                 return [(float(n), 2 * answer.size * self.samples) for n in answer.sums[:_WEIGHTS]]
             case Collected():
-                once = ("observation", "return", "advantage")
+                once = ("observation", "return", "reward", "advantage")
                 return [
                     (float(vector[0]), self.samples if name in once else 2 * self.samples)
                     for name, vector in _moments(answer).items()
@@ -123,8 +123,9 @@ def _sizes(answer: Answer) -> dict[str, float]:
 def _moments(answer: Collected) -> dict[str, NDArray[np.float64]]:
     """Counts, means and sums of squares, by what they are of."""
     return {
-        "observation": answer.obs, "return": answer.returns, "sigma": answer.start_sigma,
+        "observation": answer.obs, "return": answer.returns, "reward": answer.reward,
         "advantage": answer.advantages, "fit": answer.fit, "target": answer.sigma_target,
+        "sigma": answer.start_sigma,
     }  # fmt: skip
 
 

@@ -36,6 +36,8 @@ class State:
     dropped_gradients: int
     best_mean: float
     """Highest mean return of the newest episodes at a checkpoint; -inf before."""
+    mean_reward: float
+    """Of a step, over all of the iteration before; 0 before the first."""
     snapshots: dict[int, bytes]
     """Slot to its environments; empty before the first iteration."""
 
@@ -57,6 +59,7 @@ class State:
             finished_episodes=0,
             dropped_gradients=0,
             best_mean=-np.inf,
+            mean_reward=0.0,
             snapshots={},
         )
 
@@ -64,11 +67,6 @@ class State:
     def mean_return(self) -> float:
         """Mean return of the newest episodes; -inf before any has finished."""
         return float(self.episodes[:, 0].mean()) if len(self.episodes) else -np.inf
-
-    @property
-    def mean_reward(self) -> float:
-        """Mean reward of a step of the newest episodes; 0 before any has finished."""
-        return mean_reward(self.episodes)
 
     def with_episodes(self, episodes: NDArray[np.float64]) -> "State":
         """With newly finished episodes, in slot order."""
@@ -99,6 +97,7 @@ class State:
             "finished_episodes": self.finished_episodes,
             "dropped_gradients": self.dropped_gradients,
             "best_mean": self.best_mean if self.best_mean > -np.inf else None,
+            "mean_reward": self.mean_reward,
             "adam_updates": {name: adam.updates for name, adam in self.optimizers.items()},
         }
         return Checkpoint(arrays, {"state": own, **facts})
@@ -125,6 +124,7 @@ class State:
             finished_episodes=own["finished_episodes"],
             dropped_gradients=own["dropped_gradients"],
             best_mean=-np.inf if best is None else best,
+            mean_reward=mean_reward(checkpoint),
             snapshots={
                 int(name.split("/")[1]): array.tobytes()
                 for name, array in arrays.items()

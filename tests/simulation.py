@@ -109,7 +109,7 @@ class Worker:
             self.say(
                 wire.Collected, generation=1, iteration=task.iteration, round=0, slot=slot,
                 obs=np.zeros(1 + 2 * OBS), returns=one, advantages=np.zeros(7), fit=np.zeros(7),
-                sigma_target=one, start_sigma=one, episodes=np.zeros(0), exact=True,
+                sigma_target=one, reward=one, start_sigma=one, episodes=np.zeros(0), exact=True,
                 snapshot=snapshot_of(slot, task.iteration + 1),
             )  # fmt: skip
 

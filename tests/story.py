@@ -35,7 +35,7 @@ ALIVE = wire.Alive(worker="", generation=7, done=0)
 COLLECTED = wire.Collected(
     worker="", generation=7, iteration=1, round=0, slot=0, obs=np.zeros(1 + 2 * OBS),
     returns=np.zeros(3), advantages=np.zeros(7), fit=np.zeros(7), sigma_target=np.zeros(3),
-    start_sigma=np.zeros(3), episodes=np.zeros(0), exact=True, snapshot=AFTER,
+    reward=np.zeros(3), start_sigma=np.zeros(3), episodes=np.zeros(0), exact=True, snapshot=AFTER,
 )  # fmt: skip
 GRADIENT = wire.Gradient(
     worker="", generation=7, iteration=1, round=1, first=0, size=1, stopped=(), vector=ONES,

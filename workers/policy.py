@@ -54,7 +54,7 @@ class FrozenPolicy:
         self._obs_size = trained.obs_size
         self.distribution: Distribution = distribution_of(spaces)
         self.statistics = statistics_in(checkpoint)
-        self.mean_reward = mean_reward(checkpoint.arrays["episodes"])
+        self.mean_reward = mean_reward(checkpoint)
         """Of a step, as in the iteration that comes after the checkpoint."""
         self.networks = Networks.build(spaces, self.config)
         self.parameters: Float32 = checkpoint.arrays["parameters"]

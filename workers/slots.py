@@ -35,6 +35,7 @@ class Facts:
 
     obs: Moments
     returns: Moments
+    reward: Moments
     episodes: Float64  # [2 k] return and length of each finished episode
 
 
@@ -214,6 +215,7 @@ class _Record:
         return Facts(
             obs=Moments.of(self.obs[:, rows].reshape(-1, self.obs.shape[-1])),
             returns=Moments.of(self.discounted[:, rows].ravel()),
+            reward=Moments.of(self.reward[:, rows].ravel()),
             episodes=np.array(
                 [
                     fact

@@ -141,6 +141,7 @@ class Worker:
                     slot=index,
                     obs=facts.obs.to_vector(),
                     returns=facts.returns.to_vector(),
+                    reward=facts.reward.to_vector(),
                     episodes=facts.episodes,
                     advantages=critics.advantages.to_vector(),
                     fit=critics.fit.to_vector(),

@@ -2,9 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from dppo.config import Config
 from dppo.errors import CheckpointError, UsageError
 from dppo.moments import Moments
@@ -51,8 +48,12 @@ def statistics_in(checkpoint: Checkpoint) -> Statistics:
     )
 
 
-def mean_reward(episodes: NDArray[np.float64]) -> float:
-    """Mean reward of a step of episodes [k, 2], each return and length; 0 if there is none."""
+def mean_reward(checkpoint: Checkpoint) -> float:
+    """Mean reward of a step, over the iteration before; of earlier versions, of its episodes."""
+    known = checkpoint.facts.get("state", {}).get("mean_reward")
+    if known is not None:
+        return float(known)
+    episodes = checkpoint.arrays["episodes"]
     return float(episodes[:, 0].sum() / episodes[:, 1].sum()) if len(episodes) else 0.0
 
 

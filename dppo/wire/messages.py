@@ -87,6 +87,7 @@ class Collected:
     slot: int
     obs: Float64  # moments [1 + 2 O] of the raw observations
     returns: Float64  # moments [3] of the running discounted return
+    reward: Float64  # moments [3] of r_t
     advantages: Float64  # moments [7] of A_V, A_σ, A_V − ψ A_σ
     fit: Float64  # moments [7] of target of V, target − V, σ
     sigma_target: Float64  # moments [3]
@@ -214,7 +215,7 @@ class Collect:
     psi: float
     beta: float
     mean_reward: float
-    """Of a step, over the newest episodes; 0 before any has ended."""
+    """Of a step, over the iteration before."""
     parameters: Float32  # [P]
     obs: Float64  # moments [1 + 2 O]
     returns: Float64  # moments [3]

@@ -90,6 +90,17 @@ def test_the_policys_standard_deviation_is_told_as_it_is_after_the_updates():
     assert run.reports[0].metrics["train/std"] != run.reports[1].metrics["train/std"]
 
 
+def test_the_mean_reward_is_that_of_all_steps_of_the_iteration_before():
+    run = train(config_of("Hopper-v5"))
+    expected = [
+        np.mean([answer.reward[1] for answer in received(run, Collected, iteration)])
+        for iteration in range(ITERATIONS - 1)
+    ]
+    told = [collect.mean_reward for collect in collects(run)]
+    assert told == pytest.approx([0.0, *expected])
+    assert len(set(told)) == ITERATIONS
+
+
 def start_sigma(run, iteration):
     """Mean of sigma(s_0) over all episodes that began in the iteration."""
     counts, means, _ = np.array([m.start_sigma for m in received(run, Collected, iteration)]).T

@@ -21,9 +21,12 @@ def test_snapshots_of_another_version_are_refused_but_the_checkpoint_can_be_read
         check_snapshots(old)
 
 
-def test_the_mean_reward_of_a_step_weighs_episodes_by_their_length():
-    assert mean_reward(np.array([[30.0, 10], [10.0, 40]])) == 0.8
-    assert mean_reward(np.empty((0, 2))) == 0.0
+def test_the_mean_reward_is_the_checkpoints_or_of_earlier_versions_that_of_its_episodes():
+    episodes = np.array([[30.0, 10], [10.0, 40]])
+    known = Checkpoint({"episodes": episodes}, {"state": {"mean_reward": 0.0}})
+    assert mean_reward(known) == 0.0
+    assert mean_reward(Checkpoint({"episodes": episodes}, {"state": {}})) == 0.8
+    assert mean_reward(Checkpoint({"episodes": episodes[:0]}, {"state": {}})) == 0.0
 
 
 @pytest.mark.parametrize(

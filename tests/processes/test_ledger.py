@@ -45,7 +45,8 @@ def collected(slot, *episodes):
     return Collected(
         worker="w1", generation=1, iteration=1, round=0, slot=slot, obs=np.zeros(5),
         returns=np.zeros(3), advantages=np.zeros(7), fit=np.zeros(7), sigma_target=np.zeros(3),
-        start_sigma=np.zeros(3), episodes=np.array(episodes, np.float64), exact=True, snapshot=b"",
+        reward=np.zeros(3), start_sigma=np.zeros(3), exact=True, snapshot=b"",
+        episodes=np.array(episodes, np.float64),
     )  # fmt: skip
 
 
