@@ -27,11 +27,10 @@ class StopSignals:
 
     def __init__(self, supervisor: int | None = None) -> None:
         """`supervisor` is the parent's process id, if this learner ends with its parent."""
-        self._supervisor = supervisor
+        put_off, _ = signal.setitimer(signal.ITIMER_REAL, 0)  # one that came during an import
+        self._asked, self._supervisor = put_off > 0, supervisor
         for number in heeded():
             signal.signal(number, self._arrived)
-        put_off, _ = signal.setitimer(signal.ITIMER_REAL, 0)  # one that came during an import
-        self._asked = put_off > 0
 
     def check(self) -> None:
         """Raise `Terminated` if a signal has arrived, or the supervisor is gone."""
