@@ -4,7 +4,6 @@ In a thread of its own: a terminal that takes nothing for a while (Ctrl-S, a los
 pager) costs lines, and no time.
 """
 
-import contextlib
 import sys
 import time
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -54,7 +53,7 @@ class Console:
         if self._left_out is not None:
             self._draw(*self._left_out)
         if self._bar is not None:
-            wait([self._thread.submit(self._stop_bar)], _CLOSE_SECONDS)
+            wait([self._thread.submit(self._bar.stop)], _CLOSE_SECONDS)
         elif self._drawing is not None:
             wait([self._drawing], _CLOSE_SECONDS)
 
@@ -66,22 +65,15 @@ class Console:
         self._drawing = self._thread.submit(self._draw_now, report, speed, self._drawn)
 
     def _draw_now(self, report: IterationReport, speed: float, now: float) -> None:
-        """In the thread only."""
+        """In the thread only, whose errors nobody asks for: the terminal may be gone."""
         text = _line(report, speed)
         if self._bar is not None:
-            with contextlib.suppress(OSError):
-                self._bar.update(
-                    self._task, completed=report.env_steps, figures=text, refresh=True
-                )
+            self._bar.update(self._task, completed=report.env_steps, figures=text, refresh=True)
             return
         share = report.env_steps / self._total
         pace = (report.env_steps - self._begun_steps) / max(now - self._begun, 1e-9)
         left = _clock((self._total - report.env_steps) / max(pace, 1e-9))
         say(f"{share:6.1%}  {report.env_steps:>10,} steps  left {left}  {text}")
-
-    def _stop_bar(self) -> None:
-        with contextlib.suppress(OSError):
-            self._bar.stop()
 
     def _start_bar(self, done_steps: int) -> None:
         from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
