@@ -9,7 +9,6 @@ samples*, so that adding slots and dividing by the added weights gives the mean 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import lru_cache
 from typing import Self
 
 import numpy as np
@@ -67,36 +66,39 @@ class Minibatch:
     policy: Rows | None
     critics: Rows | None
 
-    @classmethod
-    def of(cls, config: Config, slot: int, iteration: int, update: int, stored: int) -> Self:
-        """The minibatch of update 0 <= u < updates of a slot that holds `stored` critic samples.
 
-        Every pass over the data is one permutation, drawn from (seed, slot, iteration, pass).
-        """
-        settings, samples = config.update, config.rollout.samples_per_slot
+class Minibatches:
+    """Of one iteration. Every pass over a slot's samples is one permutation, kept for its updates.
+
+    Example:
+        minibatches = Minibatches(config, iteration=3)
+        rows = minibatches.of(slot=0, update=1, stored=256).policy
+    """
+
+    def __init__(self, config: Config, iteration: int) -> None:
+        """Nothing is drawn yet."""
+        self._config, self._iteration = config, iteration
+        self._orders: dict[tuple[int, int, int], Rows] = {}
+
+    def of(self, slot: int, update: int, stored: int) -> Minibatch:
+        """Of update 0 <= u < updates of a slot that holds `stored` critic samples."""
+        settings, samples = self._config.update, self._config.rollout.samples_per_slot
         policy = critics = None
         if update < settings.policy_updates:
-            policy = _slice(config, slot, iteration, update, settings.num_minibatches, samples)
+            policy = self._slice(slot, update, settings.num_minibatches, samples)
         if update < settings.critic_updates:
-            critics = _slice(config, slot, iteration, update, settings.critic_slices, stored)
-        return cls(policy=policy, critics=critics)
+            critics = self._slice(slot, update, settings.critic_slices, stored)
+        return Minibatch(policy=policy, critics=critics)
 
-
-def _slice(
-    config: Config, slot: int, iteration: int, update: int, slices: int, samples: int
-) -> Rows:
-    epoch, index = divmod(update, slices)
-    size = samples // slices
-    order = _order(config.run.seed, slot, iteration, epoch if slices > 1 else -1, samples)
-    return order[index * size : (index + 1) * size]
-
-
-@lru_cache(maxsize=128)
-def _order(seed: int, slot: int, iteration: int, epoch: int, samples: int) -> Rows:
-    """Order of one pass over the samples; -1: as they are, for full batches."""
-    if epoch < 0:
-        return np.arange(samples)
-    return stream(seed, "minibatch", slot, iteration, epoch).permutation(samples)
+    def _slice(self, slot: int, update: int, slices: int, samples: int) -> Rows:
+        if slices == 1:
+            return np.arange(samples)  # a full batch, as it is
+        epoch, index = divmod(update, slices)
+        place, size = (slot, epoch, samples), samples // slices
+        if place not in self._orders:
+            draws = stream(self._config.run.seed, "minibatch", slot, self._iteration, epoch)
+            self._orders[place] = draws.permutation(samples)
+        return self._orders[place][index * size : (index + 1) * size]
 
 
 def block_gradient(
@@ -244,7 +246,7 @@ def _critic_gradients(
     L = (target − prediction)²; σ's prediction is softplus(output) if it has to be positive. The
     C critics (V, and σ if there is one) have one shape and see the same rows: one product a layer.
     """
-    count = 1 if networks.variance is None else 2
+    count = 2 if networks.has_variance else 1
     mlp, critics = networks.value, networks.critics
     columns, table = experiences[0].columns, _gather([e.critics for e in experiences], rows)
     vector = parameters[critics].reshape(count, 1, mlp.size)

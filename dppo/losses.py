@@ -47,22 +47,27 @@ def softplus(x: Float32) -> Float32:
     return result
 
 
+def sigma_of(output: Float32, config: SafetyConfig) -> Float32:
+    """σ, in units of the variance network's output, from that output."""
+    return softplus(output) if config.sigma_head == "softplus" else output
+
+
 def softplus_derivative(x: Float32) -> Float32:
     """1 / (1 + e^−x), without overflow."""
     small: Float32 = np.exp(-np.abs(x))
     return np.divide(np.where(x >= 0, 1, small), 1 + small, dtype=np.float32)
 
 
+def advantage_moments(a_v: FloatArray, a_sigma: FloatArray, psi: float) -> Moments:
+    """Moments [3] of (A_V, A_σ, A_V − ψ A_σ) over one slot's advantages, each [N]."""
+    return Moments.of(np.stack([a_v, a_sigma, a_v - psi * a_sigma], axis=1))
+
+
 @dataclass(frozen=True, slots=True)
 class AdvantageStatistics:
-    """Moments of (A_V, A_σ, A_V − ψ A_σ) over the samples of all slots."""
+    """Of the samples of all slots: `advantage_moments`, merged."""
 
-    moments: Moments  # F = 3
-
-    @staticmethod
-    def of(a_v: FloatArray, a_sigma: FloatArray, psi: float) -> Moments:
-        """The moments of one slot's advantages, each [N]."""
-        return Moments.of(np.stack([a_v, a_sigma, a_v - psi * a_sigma], axis=1))
+    moments: Moments  # [3]
 
     @property
     def stds(self) -> tuple[float, float, float]:

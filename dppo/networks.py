@@ -138,8 +138,8 @@ class Networks:
 
     policy: Mlp
     value: Mlp
-    variance: Mlp | None
-    """None: the run has no variance critic (psi 0 only)."""
+    has_variance: bool
+    """A variance network, of the value network's shape; only psi 0 does without."""
     log_std_size: int
     """A for Gaussian policies, 0 for categorical ones; lies right behind the policy's layers."""
 
@@ -152,7 +152,7 @@ class Networks:
         return cls(
             policy=Mlp(policy),
             value=critic,
-            variance=critic if config.safety.variance_critic else None,
+            has_variance=config.safety.variance_critic,
             log_std_size=spaces.action_size if spaces.action_kind == "box" else 0,
         )
 
@@ -165,8 +165,8 @@ class Networks:
             "policy": slice(0, ends[0]),
             "value": slice(ends[0], ends[1]),
         }
-        if self.variance is not None:
-            slices["variance"] = slice(ends[1], ends[1] + self.variance.size)
+        if self.has_variance:
+            slices["variance"] = slice(ends[1], ends[1] + self.value.size)
         return slices
 
     @cached_property
@@ -185,6 +185,11 @@ class Networks:
             self.policy.size : self.policy.size + self.log_std_size
         ]
 
+    def critic(self, name: Literal["value", "variance"], vector: Float32, obs: Float32) -> Float32:
+        """[..., N] outputs of a critic for observations [..., N, O]; the run's vector [P]."""
+        output, _ = self.value.forward(vector[self.parts[name]], obs)
+        return output[..., 0]
+
     def initial(self, config: Config) -> Float32:
         """[P] initial parameters; each network has its own stream of the run's seed."""
         vector = np.zeros(self.size, np.float32)
@@ -193,8 +198,8 @@ class Networks:
             "policy": (self.policy, 0.01),
             "value": (self.value, 1.0),
         }
-        if self.variance is not None:
-            networks["variance"] = (self.variance, 1.0)
+        if self.has_variance:
+            networks["variance"] = (self.value, 1.0)
         for index, (name, (mlp, last_gain)) in enumerate(networks.items()):
             rng = stream(config.run.seed, "init", index)
             part = vector[parts[name]]

@@ -14,6 +14,14 @@ from dppo.config import Config, RolloutConfig
 from dppo.moments import FloatArray, Moments
 
 Float32 = NDArray[np.float32]
+CLOCK_UNIT = 0.001
+"""Of the time feature: 0.001 t."""
+
+
+def with_clock(seen: Float32, steps: NDArray[np.number]) -> Float32:
+    """`seen` [..., O] with the time feature behind; `steps` [...] since the episode's start."""
+    feature = (CLOCK_UNIT * steps[..., None]).astype(np.float32)
+    return np.concatenate([seen, feature], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +51,21 @@ class Statistics:
     def empty(cls, obs_size: int) -> "Statistics":
         """Before the first iteration."""
         return cls(Moments.empty(obs_size), Moments.empty(1), Moments.empty(1))
+
+    @classmethod
+    def from_vectors(
+        cls, obs: FloatArray, returns: FloatArray, sigma_target: FloatArray
+    ) -> "Statistics":
+        """From the form that travels."""
+        return cls(*map(Moments.from_vector, (obs, returns, sigma_target)))
+
+    def to_vectors(self) -> dict[str, FloatArray]:
+        """The inverse of `from_vectors`, by name."""
+        return {
+            "obs": self.obs.to_vector(),
+            "returns": self.returns.to_vector(),
+            "sigma_target": self.sigma_target.to_vector(),
+        }
 
     def merge(self, other: "Statistics") -> "Statistics":
         """With one slot's iteration added."""

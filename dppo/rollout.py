@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from dppo.config import Config, SafetyConfig
 from dppo.distributions import Distribution
 from dppo.experience import Experience, critics_table
-from dppo.losses import AdvantageStatistics, softplus
+from dppo.losses import advantage_moments, sigma_of
 from dppo.moments import FloatArray, Moments
-from dppo.networks import Network, Networks
+from dppo.networks import Networks
 from dppo.normalizer import Statistics
 from dppo.returns import Estimate, estimate, estimate_variance, less_variable, td_errors
 
@@ -157,7 +157,7 @@ def _slot(
     raw_sigma = estimates.sigma / unit
     target = estimates.value.target
     facts = CriticFacts(
-        advantages=AdvantageStatistics.of(a_v, a_sigma, psi),
+        advantages=advantage_moments(a_v, a_sigma, psi),
         fit=Moments.of(np.stack([target, target - estimates.v, raw_sigma], -1).reshape(-1, 3)),
         sigma_target=Moments.of(kept.sigma_target),
         start_sigma=Moments.of(raw_sigma[rollout.starts]),
@@ -191,7 +191,7 @@ def estimates(
         steps, slots, envs = reward.shape
         return values.astype(np.float64).reshape(slots, steps, envs).swapaxes(0, 1)
 
-    v, v_next = (in_time(x) for x in _critic(networks, "value", parameters, obs, next_obs))
+    v, v_next = (in_time(networks.critic("value", parameters, x)) for x in (obs, next_obs))
     scale, returns = statistics.reward_scale(config), config.returns
     delta, value = estimate(
         scale * reward,
@@ -203,25 +203,13 @@ def estimates(
         trace=returns.gae_lambda,
         monte_carlo=returns.targets == "monte-carlo",
     )
-    if networks.variance is None:
+    if not networks.has_variance:
         zero = np.zeros_like(delta)
         return Estimates(v, value, zero, Estimate(zero, zero))
     if returns.delta_reward == "raw":
         delta = td_errors(reward, v, v_next, terminated, returns.gamma)
-    outputs = _critic(networks, "variance", parameters, obs, next_obs)
-    if config.safety.sigma_head == "softplus":
-        outputs = (softplus(outputs[0]), softplus(outputs[1]))
     unit = statistics.sigma_scale(config)
-    sigma, sigma_next = (unit * in_time(x) for x in outputs)
+    outputs = (networks.critic("variance", parameters, x) for x in (obs, next_obs))
+    sigma, sigma_next = (unit * in_time(sigma_of(x, config.safety)) for x in outputs)
     variance = estimate_variance(delta, sigma, sigma_next, terminated, ended, returns)
     return Estimates(v, value, sigma, variance)
-
-
-def _critic(
-    networks: Networks, name: Network, parameters: Float32, obs: Float32, next_obs: Float32
-) -> tuple[Float32, Float32]:
-    """Outputs [S, N] of a critic for s_t and s_{t+1}."""
-    part = parameters[networks.parts[name]]
-    now, _ = networks.value.forward(part, obs)  # both critics have the value network's shape
-    later, _ = networks.value.forward(part, next_obs)
-    return now[..., 0], later[..., 0]

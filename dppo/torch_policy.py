@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from dppo.action_spaces import kind_and_sizes
 from dppo.networks import Networks
+from dppo.normalizer import CLOCK_UNIT
 from dppo.store.checkpoint import Checkpoint
 from dppo.store.contents import config_in, spaces_in, statistics_in
 
@@ -136,7 +137,7 @@ class PolicyModule(nn.Module):
                     "steps is missing, expected the steps since the reset, [N]: this policy has a "
                     "time feature"
                 )
-            seen = torch.cat([seen, (0.001 * steps.double()).float()[:, None]], dim=1)
+            seen = torch.cat([seen, (CLOCK_UNIT * steps.double()).float()[:, None]], dim=1)
         output: Tensor = self.network(seen)
         return output
 

@@ -59,7 +59,7 @@ class Chief:
         self.state = state
         self._networks, self._config, self._generation = networks, config, generation
         self._exchange, self._ledger = exchange, ledger
-        self._parameters = state.parameters
+        self._parameters, self._optimizers = state.parameters, state.optimizers
         part, head = networks.parts["policy"], networks.policy.size
         self._rate_factors = np.ones(part.stop - part.start, np.float32)
         self._rate_factors[head:] = networks.log_std_rate(config.network)
@@ -144,11 +144,9 @@ class Chief:
             beta=float(state.beta),
             mean_reward=state.mean_reward,
             parameters=state.parameters,
-            obs=state.statistics.obs.to_vector(),
-            returns=state.statistics.returns.to_vector(),
-            sigma_target=state.statistics.sigma_target.to_vector(),
+            **state.statistics.to_vectors(),
         )
-        self._parameters = state.parameters
+        self._parameters, self._optimizers = state.parameters, state.optimizers
         self._exchange.begin_iteration(collect, state.snapshots)
         answers = self._exchange.gather(collect, quorum=self._config.rollout.slots).answers
         return [cast("Collected", answers[slot, 1]) for slot in self._slots]
@@ -177,7 +175,7 @@ class Chief:
         """θ, φ and the variance network's parameters after one update each."""
         settings, state = self._config.update, self.state
         factor = learning_rate_factor(self._config, state.iteration)
-        parameters, optimizers = self._parameters.copy(), dict(state.optimizers)
+        parameters, optimizers = self._parameters.copy(), dict(self._optimizers)
         for name, part in self._networks.parts.items():
             weight = sums.policy_weight if name == "policy" else sums.critic_weight
             if weight == 0:
@@ -189,8 +187,7 @@ class Chief:
             optimizers[name], change = adam(optimizers[name], mean, rate, eps=settings.adam_eps)
             parameters[part] += change
             training.note_norm(name, norm)
-        self._parameters = parameters
-        self.state = replace(state, optimizers=optimizers)
+        self._parameters, self._optimizers = parameters, optimizers
 
     def _policy_rates(self, rate: float) -> Float32:
         """[policy's part] step sizes; log std has a factor of its own."""
@@ -216,7 +213,7 @@ class Chief:
         """On to the next iteration: statistics and episodes merged in slot order."""
         state, statistics = self.state, self.state.statistics
         for answer in collected:
-            found = _statistics(answer)
+            found = Statistics.from_vectors(answer.obs, answer.returns, answer.sigma_target)
             if state.iteration == 0:  # σ's targets have no scale yet: decision 0009
                 found = replace(found, sigma_target=Moments.empty(1))
             statistics = statistics.merge(found)
@@ -225,16 +222,9 @@ class Chief:
             state.with_episodes(np.concatenate(episodes)),
             iteration=state.iteration + 1,
             parameters=self._parameters,
+            optimizers=self._optimizers,
             statistics=statistics,
             mean_reward=float(merged([answer.reward for answer in collected]).mean[0]),
             dropped_gradients=state.dropped_gradients + training.dropped,
             snapshots={answer.slot: answer.snapshot for answer in collected},
         )
-
-
-def _statistics(answer: Collected) -> Statistics:
-    return Statistics(
-        Moments.from_vector(answer.obs),
-        Moments.from_vector(answer.returns),
-        Moments.from_vector(answer.sigma_target),
-    )

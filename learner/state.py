@@ -81,12 +81,12 @@ class State:
         arrays: dict[str, NDArray[Any]] = {
             "parameters": self.parameters,
             "episodes": self.episodes,
-            "statistics/obs": self.statistics.obs.to_vector(),
-            "statistics/returns": self.statistics.returns.to_vector(),
-            "statistics/sigma_target": self.statistics.sigma_target.to_vector(),
         }
-        for name, adam in self.optimizers.items():
-            arrays[f"adam/{name}/mean"], arrays[f"adam/{name}/square"] = adam.mean, adam.square
+        for name, vector in self.statistics.to_vectors().items():
+            arrays[f"statistics/{name}"] = vector
+        for network, adam in self.optimizers.items():
+            arrays[f"adam/{network}/mean"] = adam.mean
+            arrays[f"adam/{network}/square"] = adam.square
         for slot, snapshot in self.snapshots.items():
             arrays[f"slot/{slot}"] = np.frombuffer(snapshot, np.uint8)
         own = {

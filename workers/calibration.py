@@ -105,7 +105,7 @@ class Calibrator:
             UsageError: says which setting.
         """
         returns, safety = policy.config.returns, policy.config.safety
-        if policy.networks.variance is None:
+        if not policy.networks.has_variance:
             raise UsageError("the run has no variance critic (--no-variance-critic): no sigma")
         if returns.gamma_bar != "paper" or returns.delta_reward != "scaled":
             raise UsageError(

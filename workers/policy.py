@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from dppo.config import RunConfig
 from dppo.distributions import Distribution, distribution_of, mean_std
 from dppo.errors import UsageError
-from dppo.losses import softplus
-from dppo.networks import Network, Networks
+from dppo.losses import sigma_of
+from dppo.networks import Networks
+from dppo.normalizer import with_clock
 from dppo.spaces import Spaces
 from dppo.store.checkpoint import Checkpoint
 from dppo.store.contents import config_in, mean_reward, spaces_in, statistics_in
@@ -78,10 +79,8 @@ class FrozenPolicy:
                 "flattened size of the environment that the policy was trained on"
             )
         seen = self._normalizer(obs)
-        if self.config.rollout.time_limit == "time-feature":
-            feature = (0.001 * steps[:, None]).astype(np.float32)
-            seen = np.concatenate([seen, feature], axis=1)
-        return seen
+        has_clock = self.config.rollout.time_limit == "time-feature"
+        return with_clock(seen, steps) if has_clock else seen
 
     def actions(self, obs: Float64, steps: NDArray[np.integer], noise: Float32 | None) -> Float32:
         """[n, A] actions for raw observations [n, O]: the most likely ones, or samples.
@@ -121,20 +120,14 @@ class FrozenPolicy:
         Raises:
             ValueError: observations of another size.
         """
+        networks, statistics, config = self.networks, self.statistics, self.config
         seen = self.seen(obs, steps)[:, None]
-        scale = self.statistics.reward_scale(self.config)
-        value = self._critic("value", seen).astype(np.float64) / scale
-        if self.networks.variance is None:
+        value = networks.critic("value", self.parameters, seen)[:, 0].astype(np.float64)
+        value /= statistics.reward_scale(config)
+        if not networks.has_variance:
             return Outlook(value, None)
-        sigma = self._critic("variance", seen)
-        if self.config.safety.sigma_head == "softplus":
-            sigma = softplus(sigma)
-        scale, unit = (
-            of(self.config) for of in (self.statistics.sigma_scale, self.statistics.sigma_unit)
-        )
-        return Outlook(value, np.sqrt(np.maximum(0, sigma.astype(np.float64) * scale / unit)))
-
-    def _critic(self, name: Network, seen: Float32) -> Float32:
-        """[n] outputs; both critics have the value network's shape."""
-        output, _ = self.networks.value.forward(self.parameters[self.networks.parts[name]], seen)
-        return output[:, 0, 0]
+        output = networks.critic("variance", self.parameters, seen)[:, 0]
+        sigma = sigma_of(output, config.safety).astype(np.float64)
+        sigma *= statistics.sigma_scale(config)
+        sigma /= statistics.sigma_unit(config)
+        return Outlook(value, np.sqrt(np.maximum(0, sigma)))

@@ -18,7 +18,7 @@ from dppo.config import Config
 from dppo.distributions import Distribution
 from dppo.moments import Moments
 from dppo.networks import Networks, through
-from dppo.normalizer import ObsNormalizer, Statistics
+from dppo.normalizer import ObsNormalizer, Statistics, with_clock
 from dppo.rollout import Replay, Rollout
 from dppo.streams import stream
 from workers.episodes import Episodes, Row, Step
@@ -175,12 +175,10 @@ class _Record:
             environments.begin(ended)
 
     def seen(self, normalizer: ObsNormalizer, obs: Float64, clock: NDArray[np.number]) -> Float32:
-        """What the networks see: normalised, with the time feature 0.001 t behind if asked for."""
+        """What the networks see: normalised, with the time feature behind if asked for."""
         normalized = normalizer(obs)
-        if self._config.rollout.time_limit == "bootstrap":
-            return normalized
-        feature = (0.001 * clock[..., None]).astype(np.float32)
-        return np.concatenate([normalized, feature], axis=-1)
+        has_clock = self._config.rollout.time_limit == "time-feature"
+        return with_clock(normalized, clock) if has_clock else normalized
 
     def results(
         self, normalizer: ObsNormalizer, slots: Sequence[slice]

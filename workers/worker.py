@@ -4,7 +4,8 @@
         run the policy for T steps; estimate advantages                _collect
         π_old <- π
         for m in {1, ..., M}, b in {1, ..., B}:                        Update
-            if KL[π_old|π] > 4 KL_target: no more policy updates       (the chief says so)
+            if KL[π_old|π] > 4 KL_target: no more policy updates       (the chief says so; with
+                                                          --kl-scope worker: block_gradient)
             gradients of J, L_V and L_σ; send; wait for the next θ     _update
         KL[π_old|π] for the adaptation of β                            _measure
 
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from dppo.config import Config
 from dppo.distributions import distribution_of
 from dppo.experience import Experience
-from dppo.gradients import Minibatch, block_gradient, skips, slot_kls
+from dppo.gradients import Minibatch, Minibatches, block_gradient, skips, slot_kls
 from dppo.losses import AdvantageStatistics, combine
 from dppo.moments import Moments
 from dppo.networks import Networks
@@ -71,6 +72,7 @@ class Worker:
         self._complete: set[int] = set()
         """Slots whose experience has its advantage."""
         self._collect_task: Collect | None = None
+        self._minibatches = Minibatches(config, 0)
 
     def perform(self, task: Restore | Collect | Update | Measure) -> None:
         """Do what the learner asks, and answer.
@@ -102,15 +104,12 @@ class Worker:
         slots = self._at_start(task)
         if self._collect_task is None or self._collect_task.iteration != task.iteration:
             self._experiences.clear()
+            self._minibatches = Minibatches(self._config, task.iteration)
             self._boundary = {
                 index: held for index, held in self._boundary.items() if held[0] >= task.iteration
             }
         self._collect_task = task
-        statistics = Statistics(
-            Moments.from_vector(task.obs),
-            Moments.from_vector(task.returns),
-            Moments.from_vector(task.sigma_target),
-        )
+        statistics = Statistics.from_vectors(task.obs, task.returns, task.sigma_target)
         collected = slots.collect(self._networks, self._distribution, task.parameters, statistics)
         prepared = prepare(
             [rollout.judged(task.mean_reward, self._config.safety) for rollout, _ in collected],
@@ -152,7 +151,7 @@ class Worker:
                 )
             )
         self._link.send(*answers)
-        self._draw_ahead(task, 1)
+        self._draw_ahead(task.slots, 0)
 
     def _update(self, task: Update) -> None:
         """The gradient of this update's minibatch, summed over each aligned block of slots."""
@@ -174,19 +173,18 @@ class Worker:
                 )
             )
         self._link.send(*answers)
-        self._draw_ahead(task, task.round + 1)
+        self._draw_ahead(task.slots, task.round)
 
-    def _draw_ahead(self, task: Collect | Update, round_: int) -> None:
-        """Draw the minibatches of the next update while the learner makes this one."""
-        for index in task.slots:
-            stored = len(self._experiences[index].critics)
-            Minibatch.of(self._config, index, task.iteration, round_ - 1, stored)
+    def _draw_ahead(self, slots: tuple[int, ...], update: int) -> None:
+        """Draw the orders of the next update while the learner makes this one."""
+        for index in slots:
+            self._minibatches.of(index, update, len(self._experiences[index].critics))
 
     def _gradients(self, task: Update) -> tuple[Float32, NDArray[np.float64]]:
         """A row per slot of the task."""
-        experiences, minibatches = [], []
-        for index in task.slots:
-            experience, collect = self._experience(index, task.iteration)
+        collect, experiences = self._collected(task)
+        minibatches = []
+        for index, experience in zip(task.slots, experiences, strict=True):
             if index not in self._complete:
                 experience.advantage[:] = combine(
                     experience.a_v,
@@ -196,11 +194,9 @@ class Worker:
                     self._config.safety,
                 )
                 self._complete.add(index)
-            stored = len(experience.critics)
-            rows = Minibatch.of(self._config, index, task.iteration, task.round - 1, stored)
+            rows = self._minibatches.of(index, task.round - 1, len(experience.critics))
             if index in task.stopped:
                 rows = Minibatch(policy=None, critics=rows.critics)
-            experiences.append(experience)
             minibatches.append(rows)
         return block_gradient(
             self._networks,
@@ -214,7 +210,7 @@ class Worker:
 
     def _measure(self, task: Measure) -> None:
         """KL[π_old|π] over all samples of each slot, after the last update."""
-        experiences = [self._experience(index, task.iteration)[0] for index in task.slots]
+        _, experiences = self._collected(task)
         kls, weights = slot_kls(self._networks, self._distribution, task.parameters, experiences)
         answers = []
         for (first, size), rows in _rows_of_blocks(task.slots):
@@ -256,9 +252,9 @@ class Worker:
         self._slots = Slots.restored(task.slots, self._config, task.iteration, snapshots)
         return self._slots
 
-    def _experience(self, index: int, iteration: int) -> tuple[Experience, Collect]:
-        """What the slot learns from in `iteration`, and the task that collected it."""
-        collect = self._collect_task
-        if collect is None or collect.iteration != iteration or index not in self._experiences:
-            raise OutOfStepError(f"slot {index} has not collected iteration {iteration}")
-        return self._experiences[index], collect
+    def _collected(self, task: Update | Measure) -> tuple[Collect, list[Experience]]:
+        """The task that collected this iteration, and what each slot learns from."""
+        collect, held = self._collect_task, self._experiences
+        if collect is None or collect.iteration != task.iteration or {*task.slots} - held.keys():
+            raise OutOfStepError(f"slots {task.slots} have not collected {task.iteration}")
+        return collect, [held[index] for index in task.slots]

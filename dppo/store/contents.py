@@ -4,7 +4,6 @@ from pathlib import Path
 
 from dppo.config import Config
 from dppo.errors import CheckpointError, UsageError
-from dppo.moments import Moments
 from dppo.normalizer import Statistics
 from dppo.sources import made_by
 from dppo.spaces import Spaces
@@ -40,11 +39,8 @@ def spaces_in(checkpoint: Checkpoint) -> Spaces:
 def statistics_in(checkpoint: Checkpoint) -> Statistics:
     """The statistics that all workers share."""
     arrays = checkpoint.arrays
-    return Statistics(
-        *(
-            Moments.from_vector(arrays[f"statistics/{name}"])
-            for name in ("obs", "returns", "sigma_target")
-        )
+    return Statistics.from_vectors(
+        *(arrays[f"statistics/{name}"] for name in ("obs", "returns", "sigma_target"))
     )
 
 

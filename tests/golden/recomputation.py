@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from dppo.gradients import Minibatch
+from dppo.gradients import Minibatches
 from tests.golden import reference
 from tests.golden import reference_networks as networks
 from tests.golden.recorded_run import (
@@ -98,11 +98,12 @@ class Recomputation:
         self._note(number, iteration.rollouts, estimates)
         kl = reference.Kl(iteration.collect.beta, XI, self.run.config.kl.kl_target)
         redone = Redone(units, [], [start], [], 0.0, [])
+        minibatches = Minibatches(self.run.config, number)
         for update in range(UPDATES if number > 0 else 0):
             parts = [
                 self._slot_gradient(
                     redone.parameters[-1], start, rollout, estimate, advantage,
-                    Minibatch.of(self.run.config, slot, number, update, ENVS * STEPS),
+                    minibatches.of(slot, update, ENVS * STEPS),
                     kl, units[1],
                 )
                 for slot, (rollout, estimate, advantage) in enumerate(

@@ -134,7 +134,7 @@ def _torch_loss(block, slot, rows, parameters):
     seen = _double(columns.obs(seen_by))
     value = _forward(networks.value, parameters[networks.parts["value"]], seen)[:, 0]
     value_loss = ((value - _double(v_target)) ** 2).mean()
-    sigma = _forward(networks.variance, parameters[networks.parts["variance"]], seen)[:, 0]
+    sigma = _forward(networks.value, parameters[networks.parts["variance"]], seen)[:, 0]
     if block.config.safety.sigma_head == "softplus":
         sigma = torch.nn.functional.softplus(sigma)
     variance_loss = ((sigma - _double(sigma_target)) ** 2).mean()

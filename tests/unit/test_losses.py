@@ -9,6 +9,7 @@ import pytest
 from dppo.config import KlConfig, SafetyConfig
 from dppo.losses import (
     AdvantageStatistics,
+    advantage_moments,
     combine,
     kl_weight,
     policy_objective,
@@ -32,7 +33,7 @@ def test_sets_of_samples_do_not_mix():
 
 def _statistics(slots, psi):
     """Moments over the samples of all slots, merged in slot order as the chief does."""
-    first, *others = [AdvantageStatistics.of(a_v, a_sigma, psi) for a_v, a_sigma in slots]
+    first, *others = [advantage_moments(a_v, a_sigma, psi) for a_v, a_sigma in slots]
     for other in others:
         first = first.merge(other)
     return AdvantageStatistics(first)

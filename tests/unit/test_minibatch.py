@@ -3,7 +3,7 @@
 import numpy as np
 
 from dppo.config import Config, RolloutConfig, UpdateConfig
-from dppo.gradients import Minibatch
+from dppo.gradients import Minibatches
 
 
 def _passes(policy=2, critics=4, epochs=2):
@@ -17,8 +17,9 @@ def _passes(policy=2, critics=4, epochs=2):
 
 def test_every_pass_uses_every_sample_once():
     config = _passes()
+    minibatches = Minibatches(config, 3)
     for first in (0, 2):
-        used = [Minibatch.of(config, 1, 3, first + k, 12).policy for k in range(2)]
+        used = [minibatches.of(1, first + k, 12).policy for k in range(2)]
         assert [len(rows) for rows in used if rows is not None] == [6, 6]
         assert sorted(np.concatenate([rows for rows in used if rows is not None])) == list(
             range(12)
@@ -27,7 +28,7 @@ def test_every_pass_uses_every_sample_once():
 
 def test_policy_rows_end_with_its_updates_and_the_critics_go_on_over_replayed_samples():
     config = _passes()  # 4 updates of the policy, 8 of the critics
-    batches = [Minibatch.of(config, 0, 0, update, 24) for update in range(9)]
+    batches = [Minibatches(config, 0).of(0, update, 24) for update in range(9)]
     assert [batch.policy is None for batch in batches] == [False] * 4 + [True] * 5
     assert batches[8].critics is None
     seen = [batch.critics for batch in batches[:4]]
@@ -38,7 +39,7 @@ def test_orders_differ_by_slot_iteration_and_pass_and_repeat_exactly():
     config = _passes()
 
     def order(slot, iteration, update):
-        rows = Minibatch.of(config, slot, iteration, update, 12).policy
+        rows = Minibatches(config, iteration).of(slot, update, 12).policy
         assert rows is not None
         return rows.tolist()
 
@@ -49,7 +50,7 @@ def test_orders_differ_by_slot_iteration_and_pass_and_repeat_exactly():
 
 
 def test_a_full_batch_is_taken_in_time_order():
-    rows = Minibatch.of(_passes(policy=1, critics=1), 0, 0, 1, 12)
+    rows = Minibatches(_passes(policy=1, critics=1), 0).of(0, 1, 12)
     assert rows.policy is not None
     assert rows.critics is not None
     assert rows.policy.tolist() == rows.critics.tolist() == list(range(12))

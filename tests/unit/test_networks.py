@@ -139,7 +139,7 @@ def test_policy_and_value_begin_the_same_with_and_without_a_variance_network():
     with_it = Config(run=run)
     without = Config(run=run, safety=SafetyConfig(variance_critic=False))
     one, other = Networks.build(spaces, with_it), Networks.build(spaces, without)
-    assert other.variance is None
+    assert not other.has_variance
     assert list(other.parts) == ["policy", "value"]
     assert one.initial(with_it)[: other.size].tobytes() == other.initial(without).tobytes()
 
