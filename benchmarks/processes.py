@@ -24,7 +24,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dppo.process import THREAD_VARIABLES
+from dppo.machine import THREAD_VARIABLES
 
 ROOT = Path(__file__).parents[1]
 ONE_THREAD = dict.fromkeys(THREAD_VARIABLES, "1")

@@ -98,7 +98,8 @@ class BenchArgs:
 
 def main(argv: list[str] | None = None) -> None:
     """Run one subcommand; exit code 1: failed, 2: wrong usage, 130, 143: stopped by a signal."""
-    from dppo.process import leave, no_window, one_thread
+    from dppo.machine import no_window, one_thread
+    from dppo.process import leave
 
     one_thread()
     words = sys.argv[1:] if argv is None else argv
@@ -225,7 +226,7 @@ def _replay(args: ReplayArgs) -> int:
         UsageError: there is no run.
     """
     from dppo.errors import UsageError
-    from dppo.process import own_program
+    from dppo.machine import own_program
 
     run = Path(args.run)
     out = Path(args.out) if args.out else run / "replay"

@@ -20,7 +20,7 @@ from typing import Any
 from numpy.typing import NDArray
 from safetensors.numpy import load, save
 
-from dppo.process import own_program
+from dppo.machine import own_program
 
 _LENGTHS = struct.Struct("<QQ")
 _READ_BYTES = 1 << 18

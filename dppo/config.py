@@ -33,6 +33,11 @@ __all__ = [
 ]
 
 
+def require_seed(seed: int) -> None:
+    """Raise a ValueError in the words of the command line unless random streams take the seed."""
+    require(0 <= seed < 2**63, "seed", seed, "0 <= seed < 2**63")
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunConfig:
     """What is trained, on what, for how long."""
@@ -48,7 +53,7 @@ class RunConfig:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be run."""
-        require(0 <= self.seed < 2**63, "seed", self.seed, "0 <= seed < 2**63")
+        require_seed(self.seed)
         require(self.total_timesteps >= 1, "total_timesteps", self.total_timesteps, ">= 1")
         try:
             is_object = isinstance(json.loads(self.env_kwargs), dict)
@@ -87,6 +92,10 @@ class Config:
     def iterations(self) -> int:
         """N: iterations of the run, total_timesteps rounded up."""
         return -(-self.run.total_timesteps // self.rollout.samples)
+
+    def env_steps(self, iterations: int) -> int:
+        """Environment steps of so many iterations."""
+        return iterations * self.rollout.samples
 
     def to_dict(self) -> dict[str, dict[str, Any]]:
         """Nested plain values, for JSON. Infinity becomes the string "inf"."""

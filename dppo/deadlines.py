@@ -6,6 +6,7 @@ with how long they took. A slot that was dropped `drop_limit` times running is w
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -62,6 +63,10 @@ class Deadlines:
         )
         self._asked: dict[RoundId, _Asked] = {}
         self._late: list[Late] = []
+
+    def resume(self, running: Sequence[int]) -> None:
+        """Of each slot, the updates running that an earlier learner went on without it."""
+        self.running = dict(enumerate(running))
 
     def open(self, round_: Round[Answer], now: float) -> float:
         """All slots are asked; until when to wait for all of them, infinity: for ever."""

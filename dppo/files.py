@@ -6,6 +6,11 @@ import os
 from pathlib import Path
 
 
+def safe_name(env_id: str) -> str:
+    """A Gymnasium id as part of a file's name."""
+    return env_id.replace("/", "-").replace(":", "-")
+
+
 def write_durably(path: Path, data: bytes) -> None:
     """Write a file and flush it to the disk; what is left after a failure is torn."""
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)

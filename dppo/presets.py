@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from dppo.config import Config
 
-_PAPER_PSI = {"HalfCheetah": 0.15, "Ant": 0.1, "Hopper": 0.075, "Walker2d": 0.075}
+PAPER_PSI = {"HalfCheetah": 0.15, "Ant": 0.1, "Hopper": 0.075, "Walker2d": 0.075}
 """Table 2: the best ψ of each environment."""
 _PAPER_RATES = {
     "HalfCheetah": (8.87e-5, 1.83e-3), "Ant": (7.37e-5, 1.64e-3),
@@ -47,7 +47,7 @@ def paper(env: str) -> Config:
             reward_scale="one-minus-gamma",
         ),
         returns=replace(base.returns, gamma=0.995, gae_lambda=0.98, targets="monte-carlo"),
-        safety=replace(base.safety, psi=_PAPER_PSI.get(name, 0.1), sigma_head="linear"),
+        safety=replace(base.safety, psi=PAPER_PSI.get(name, 0.1), sigma_head="linear"),
         update=replace(
             base.update, learning_rate=policy_rate, critic_learning_rate=critic_rate,
             lr_schedule="servo", update_epochs=20, num_minibatches=1,
@@ -65,7 +65,7 @@ def paper(env: str) -> Config:
 def _kind(env: str) -> str:
     """Which of Table 2's environments this is, or a hazardous kin of it; empty: none."""
     bare = env.rpartition(":")[2]
-    return next((kind for kind in _PAPER_PSI if bare.startswith(kind)), "")
+    return next((kind for kind in PAPER_PSI if bare.startswith(kind)), "")
 
 
 def authors_2019(env: str) -> Config:

@@ -1,8 +1,6 @@
-"""What all commands share: threads, command line, log lines, exit codes."""
+"""What all commands share: command line, log lines, signals, exit codes."""
 
 import contextlib
-import ctypes.util
-import importlib.util
 import io
 import logging
 import math
@@ -13,7 +11,6 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
-from pathlib import Path
 from types import FrameType
 from typing import NoReturn, TextIO, TypeVar
 
@@ -21,8 +18,6 @@ from dppo.errors import DppoError, UsageError
 from dppo.signals import heeded
 
 Args = TypeVar("Args")
-THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-"""What numeric libraries read, once, when they are imported."""
 _SWITCH_SECONDS = 1e-4
 """A thread that has waited this long for the interpreter gets it.
 
@@ -32,8 +27,6 @@ was sent and no end of a parent was seen. It costs nothing while no other thread
 """
 
 
-_PR_SET_PDEATHSIG = 1
-"""From Linux's sys/prctl.h."""
 _TIDY_SECONDS = 10.0
 """A command that has been told to end has so long before a further signal ends it at once."""
 
@@ -48,68 +41,6 @@ _IMPORT_SECONDS = 5.0
 
 class Terminated(BaseException):
     """SIGTERM arrived."""
-
-
-def one_thread() -> None:
-    """One thread per process, before NumPy is imported: same shapes, same bits, no fighting."""
-    for name in THREAD_VARIABLES:
-        os.environ[name] = "1"
-
-
-def no_window() -> None:
-    """Nothing is drawn here: keep MuJoCo from opening a window system, before it is imported.
-
-    Gymnasium imports pyGLFW all the same; told where its library is, it starts no process to look
-    for it, which would complain when its parent ends first.
-    """
-    os.environ.setdefault("MUJOCO_GL", "disable")
-    package = importlib.util.find_spec("glfw")
-    if package is not None and package.origin is not None:
-        library = Path(package.origin).parent / "x11" / "libglfw.so"
-        if library.exists():
-            os.environ.setdefault("PYGLFW_LIBRARY", str(library))
-
-
-def draw_unseen() -> None:
-    """Pictures without a window: keep MuJoCo off the screen, before it is imported.
-
-    EGL and OSMesa draw into memory, with a GPU or in software. What the user has set stays.
-    """
-    for name, library in (("egl", "EGL"), ("osmesa", "OSMesa")):
-        if ctypes.util.find_library(library) is not None:
-            os.environ.setdefault("MUJOCO_GL", name)
-
-
-def give_back_memory() -> None:
-    """Return what was freed to the system, where the C library can (glibc).
-
-    Environments are large and other things lie between them: without this a process that builds
-    them anew, again and again, grows by some kilobytes per environment.
-    """
-    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
-    if trim is not None:
-        trim(0)
-
-
-def end_with_parent() -> None:
-    """Let the system kill this process when its parent ends, where it can (Linux).
-
-    Whatever this process does then: an environment that never gives back the interpreter, too.
-    """
-    with contextlib.suppress(AttributeError):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-
-
-def usable_cores() -> int:
-    """Cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
-def own_program(module: str, *words: str) -> list[str]:
-    """Command line of a module of ours; a file of its name in the current folder is not it."""
-    return [sys.executable, "-P", "-m", module, *words]
 
 
 def parse(kind: type[Args], argv: list[str], program: str, default: Args | None = None) -> Args:
@@ -247,6 +178,13 @@ def _prepare() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # it may know neither σ nor ψ
             stream.reconfigure(errors="replace")
+
+
+def clock(seconds: float) -> str:
+    """`12:05:09`."""
+    minutes, rest = divmod(int(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02}"
 
 
 def say(text: str, stream: TextIO | None = None) -> None:

@@ -40,7 +40,7 @@ def cvar(returns: Float64, fraction: float = 0.1) -> float:
     return float(tail_mean(returns, fraction))
 
 
-def share_interval(count: int, trials: int) -> tuple[float, float]:
+def wilson_interval(count: int, trials: int) -> tuple[float, float]:
     """95 % interval of a share of which `count` of some trials are known: Wilson (1927).
 
     It has a width where all trials or none count, and a bootstrap has none: none of 100 allows

@@ -51,7 +51,7 @@ class PolicyModule(nn.Module):
         self.network = nn.Sequential(*modules[:-1])
         mean, scale, self.clip = normalizer
         self.obs_size = len(mean)
-        self.has_clock = has_clock
+        self.has_clock, self.clock_unit = has_clock, CLOCK_UNIT
         self.register_buffer("mean", torch.from_numpy(mean.copy()))
         self.register_buffer("scale", torch.from_numpy(scale.copy()))
 
@@ -137,7 +137,7 @@ class PolicyModule(nn.Module):
                     "steps is missing, expected the steps since the reset, [N]: this policy has a "
                     "time feature"
                 )
-            seen = torch.cat([seen, (CLOCK_UNIT * steps.double()).float()[:, None]], dim=1)
+            seen = torch.cat([seen, (self.clock_unit * steps.double()).float()[:, None]], dim=1)
         output: Tensor = self.network(seen)
         return output
 

@@ -1,6 +1,5 @@
 """`dppo-learner`: command line -> run directory, link, local workers -> session -> exit code."""
 
-import contextlib
 import os
 import socket
 import sys
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
     from dppo.store.run_directory import RunDirectory
     from learner.replay import Original
     from learner.session import Session
-    from learner.signals import StopSignals
 
 _ALIASES = {
     "--env-id": "--env",
@@ -27,7 +25,6 @@ _ALIASES = {
     "--target-kl": "--kl-target",
     "-n": "--total-timesteps",
 }
-_RESULT_SECONDS = 3.0
 _SETUP_SECONDS = 60.0
 """A worker that makes its environments may be silent for so long."""
 _WHOLE_NUMBERS = ("--total-timesteps", "--stop-at")
@@ -93,7 +90,8 @@ class LearnerArgs(Config):
 
 def main(argv: list[str] | None = None) -> None:
     """Run one learner; exit code 0: done or stopped, 1: failed, 2: wrong usage."""
-    from dppo.process import leave, one_thread, parse, start_logging
+    from dppo.machine import one_thread
+    from dppo.process import leave, parse, start_logging
     from learner.arguments import defaults, normalised
 
     one_thread()
@@ -121,7 +119,7 @@ def _become_supervisor(config: Config, args: ProcessArgs, arguments: list[str]) 
 
     Folder and address are settled here, so that every start has the same ones.
     """
-    from dppo.process import own_program
+    from dppo.machine import own_program
     from dppo.store.run_directory import default_path
     from learner.arguments import listening_address
 
@@ -133,14 +131,16 @@ def _become_supervisor(config: Config, args: ProcessArgs, arguments: list[str]) 
 
 
 def _train(config: Config, args: ProcessArgs, supervisor: int | None) -> int:
-    from dppo.process import usable_cores
+    from dppo.machine import usable_cores
     from dppo.wire.socket_links import Alarm, SocketLearnerLink
     from dppo.wire.zenoh_links import ZenohLearnerLink
     from learner.arguments import listening_address
+    from learner.ending import run
     from learner.local import LocalWorkers
+    from learner.logfile import log_to_file
     from learner.replay import Original
     from learner.session import Session
-    from learner.signals import StopSignals, log_to_file
+    from learner.signals import StopSignals
 
     original = Original.read(Path(args.replay), config) if args.replay else None
     stop_at = args.stop_at or sys.maxsize
@@ -167,77 +167,13 @@ def _train(config: Config, args: ProcessArgs, supervisor: int | None) -> int:
     _announce(config, folder.path, address, count)
     try:
         workers.start()
-        code = _run(session, signals, folder, stop_at)
+        code = run(session, signals, folder, stop_at)
         return code if original is None else _compared(session, original)
     finally:
         workers.end()
         link.close()
         log_file.settle()
         folder.discard_unused()
-
-
-def _run(session: "Session", signals: "StopSignals", folder: "RunDirectory", stop_at: int) -> int:
-    """Train, and leave result.json and a checkpoint behind however it ends."""
-    from dppo.errors import RunFailedError, SupersededError
-
-    try:
-        result = _trained(session, stop_at)
-    except SupersededError as error:
-        raise folder.fence_off(error) from error
-    except Exception as error:  # that of a run that cannot go on, or a bug of ours
-        with contextlib.suppress(RunFailedError):  # the disk may be what failed
-            session.save()
-        if isinstance(error, RunFailedError) and (failed := session.interrupted()) is not None:
-            _leave_result(folder, failed | {"status": "failed", "reason": str(error)})
-        raise
-    signals.restore()
-    if result is None:
-        return 0
-    _leave_result(folder, result)
-    say(
-        f"{result['status']}: {result['env_steps']:,} steps, parameters_sha256 "
-        f"{result['parameters_sha256']}, see {folder.path / 'result.json'}"
-    )
-    return 0
-
-
-def _trained(session: "Session", stop_at: int) -> dict[str, object] | None:
-    """The contents of result.json: of a run that has ended, or was stopped after it began."""
-    from dppo.process import Terminated
-
-    try:
-        return session.train(stop_at)
-    except Terminated:
-        session.save()
-        result = session.interrupted()
-        say("stopped; the same command with this --run-dir continues" if result else "stopped")
-        return result
-
-
-def _leave_result(folder: "RunDirectory", result: dict[str, object]) -> None:
-    """Write result.json if the disk takes it: what it says is also in the checkpoint."""
-    import logging
-
-    name = "result.json"
-
-    from learner.disk import Disk
-    from learner.saving import insist
-
-    failures: list[OSError | None] = []
-    disk = Disk(folder.path, "")
-    job = disk.run(lambda: failures.append(insist(lambda: folder.write_json(name, result))))
-    try:
-        disk.wait(job, name, _RESULT_SECONDS)
-    except OSError as error:
-        failures.append(error)
-    failure = failures[0]
-    if failure is not None:
-        logging.getLogger("learner").warning(
-            "result.json in %s cannot be written: %s; what it would say is printed, and in the "
-            "newest checkpoint",
-            folder.path,
-            failure,
-        )
 
 
 def _compared(session: "Session", original: "Original") -> int:

@@ -10,7 +10,7 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any
 
 from dppo.config import Config
-from dppo.process import say
+from dppo.process import clock, say
 from learner.report import IterationReport
 
 _PLAIN_SECONDS, _BAR_SECONDS = 1.0, 0.1
@@ -23,7 +23,7 @@ class Console:
     """Progress of one run."""
 
     def __init__(self, config: Config, done_steps: int) -> None:
-        self._total = config.iterations * config.rollout.samples
+        self._total = config.env_steps(config.iterations)
         self._begun, self._begun_steps = time.monotonic(), done_steps
         self._thread = ThreadPoolExecutor(1)
         self._drawing: Future[None] | None = None
@@ -72,7 +72,7 @@ class Console:
             return
         share = report.env_steps / self._total
         pace = (report.env_steps - self._begun_steps) / max(now - self._begun, 1e-9)
-        left = _clock((self._total - report.env_steps) / max(pace, 1e-9))
+        left = clock((self._total - report.env_steps) / max(pace, 1e-9))
         say(f"{share:6.1%}  {report.env_steps:>10,} steps  left {left}  {text}")
 
     def _start_bar(self, done_steps: int) -> None:
@@ -103,9 +103,3 @@ def _line(report: IterationReport, speed: float) -> str:
         f"  σ {metrics['safety/sigma_mean']:.3g}  ψ {metrics['safety/psi']:g}"
         f"  workers {metrics['cluster/workers']:.0f}"
     )
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(int(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}"

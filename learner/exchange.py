@@ -38,7 +38,7 @@ from learner.meanwhile import Meanwhile
 from learner.members import Members, listed
 from learner.questions import Questions
 from learner.roster import Roster, spaces_in
-from learner.soundness import Expected, block_of, sizes
+from learner.soundness import Expected, block_of, magnitudes
 
 log = logging.getLogger("learner")
 _TICK = 0.25
@@ -153,8 +153,6 @@ class Exchange:
         for worker in self.roster:
             self._link.send(worker, Stop(reason=reason, final=final))
 
-    # events
-
     def _handle(self, timeout: float) -> bool:
         """One event, or one silence; was it an event?"""
         event = self._link.receive(timeout)
@@ -208,8 +206,6 @@ class Exchange:
         log.warning("%s; it is tried once more, elsewhere if there is another worker", reason)
         self._members.part(worker, "one of its environments failed")
 
-    # questions and answers
-
     def _take(self, answer: Answer) -> None:
         first, size = block_of(answer)
         fits = 0 <= first < self._leases.num_slots and 0 < size <= self._leases.num_slots
@@ -246,7 +242,7 @@ class Exchange:
             return False
         first, size = block_of(answer)
         slots = range(first, min(first + size, self._leases.num_slots))
-        found = sizes(answer)
+        found = magnitudes(answer)
         finite = all(map(isfinite, found.values()))
         doubt = self._quarantine.outlier(found) if finite else "numbers that are not finite"
         if doubt:

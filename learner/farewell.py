@@ -1,7 +1,6 @@
 """The end of a run, for workers that an earlier learner has not told of it any more."""
 
 import time
-from collections.abc import Callable
 
 from dppo.wire.links import LearnerLink
 from dppo.wire.messages import Hello, Stop
@@ -10,10 +9,10 @@ _SECONDS = 5.0
 """A worker says Hello every two seconds; to connect again takes about as long."""
 
 
-def dismiss(link: LearnerLink, reason: str, clock: Callable[[], float] = time.monotonic) -> None:
+def dismiss(link: LearnerLink, reason: str) -> None:
     """Tell everybody who says Hello within a moment that the run is over."""
-    until = clock() + _SECONDS
-    while (left := until - clock()) > 0:
+    until = time.monotonic() + _SECONDS
+    while (left := until - time.monotonic()) > 0:
         event = link.receive(left)
         if isinstance(event, Hello):
             link.send(event.worker, Stop(reason=reason, final=True))

@@ -34,8 +34,6 @@ class Ledger:
         self._config, self._write, self._original = config, write, original
         self._deadlines = deadlines
         self.accounts = accounts or Accounts(config.slots)
-        if deadlines is not None:
-            deadlines.running = dict(enumerate(self.accounts.running))
 
     def slots(self, iteration: int, update: int) -> tuple[int, ...]:
         """Whom an update asks: all slots; in a replay, those that the original went on with."""

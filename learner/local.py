@@ -4,13 +4,12 @@ import contextlib
 import logging
 import math
 import signal
-import socket
 import subprocess
 import time
 from dataclasses import dataclass, field
 
 from dppo.errors import RunFailedError
-from dppo.process import own_program, usable_cores
+from dppo.machine import free_port, own_program, usable_cores
 from dppo.wire.socket_links import SocketLearnerLink
 
 log = logging.getLogger("learner")
@@ -33,9 +32,7 @@ _AGAIN_SECONDS = 5.0
 
 def free_address() -> str:
     """A loopback address with a port that was free a moment ago."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp/127.0.0.1:{free_port()}"
 
 
 @dataclass(slots=True)

@@ -113,7 +113,7 @@ class Finished:
             }
         return IterationReport(
             iteration=self.after.iteration,
-            env_steps=self.after.iteration * self.config.rollout.samples,
+            env_steps=self.config.env_steps(self.after.iteration),
             metrics=metrics,
             episodes=tuple(
                 (float(episode[0]), float(episode[1]))

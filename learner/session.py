@@ -1,4 +1,4 @@
-"""One learner at work: from a configuration to result.json."""
+"""One learner at work: from a configuration to the contents of result.json."""
 
 import json
 import logging
@@ -129,6 +129,7 @@ class Session:
                 self._original.compare(line)
 
         runlog = RunLog(self._folder.path, iteration, self._disk, noted)
+        self._deadlines.resume(accounts.running)
         self._ledger = Ledger(rollout, runlog.note, self._deadlines, accounts, self._original)
         return self._ledger, runlog
 
@@ -201,12 +202,12 @@ class Session:
     @property
     def _all_steps(self) -> int:
         """Environment steps of the whole run."""
-        return self._config.iterations * self._config.rollout.samples
+        return self._config.env_steps(self._config.iterations)
 
     @property
     def _env_steps(self) -> int:
         """Environment steps of the run so far."""
-        return 0 if self.state is None else self.state.iteration * self._config.rollout.samples
+        return 0 if self.state is None else self._config.env_steps(self.state.iteration)
 
     def _checkpoint_facts(self, state: State) -> dict[str, Any]:
         """What a checkpoint holds besides the state.
@@ -217,7 +218,7 @@ class Session:
         self._folder.check_generation(self.generation)
         return {
             "config": self._config.to_dict(),
-            "env_steps": state.iteration * self._config.rollout.samples,
+            "env_steps": self._config.env_steps(state.iteration),
             "parameters_sha256": sha256(state.parameters),
             "spaces": sizes(self._exchange.roster),
             "snapshots": SNAPSHOT_FORM,

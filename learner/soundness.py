@@ -98,13 +98,13 @@ def _is_whole(snapshot: bytes) -> bool:
         return False
 
 
-def sizes(answer: Answer) -> dict[str, float]:
+def magnitudes(answer: Answer) -> dict[str, float]:
     """How large the numbers of an answer are, by what they are; nan or inf if one of them is."""
     with np.errstate(all="ignore"):
-        return _sizes(answer)
+        return _magnitudes(answer)
 
 
-def _sizes(answer: Answer) -> dict[str, float]:
+def _magnitudes(answer: Answer) -> dict[str, float]:
     match answer:
         case Gradient():
             weight = max(float(answer.sums[0]), float(answer.sums[1]), 1.0)

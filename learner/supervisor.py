@@ -18,7 +18,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from dppo.backoff import Backoff
-from dppo.process import own_program, say
+from dppo.machine import own_program
+from dppo.process import say
 from dppo.signals import Signals
 
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 30.0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 from hypothesis import settings
 
-from dppo.process import one_thread
+from dppo.machine import one_thread
 
 one_thread()
 # Started in the background they would have it ignored, and so would the processes that they start.

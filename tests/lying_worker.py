@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dppo.process import leave, one_thread, start_logging
+from dppo.machine import one_thread
+from dppo.process import leave, start_logging
 
 one_thread()
 

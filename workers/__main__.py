@@ -32,7 +32,8 @@ class WorkerArgs:
 
 def main(argv: list[str] | None = None) -> None:
     """Run one worker process; the exit code says how it ended."""
-    from dppo.process import leave, no_window, one_thread
+    from dppo.machine import no_window, one_thread
+    from dppo.process import leave
 
     one_thread()
     no_window()
@@ -55,7 +56,8 @@ class _ChildArgs:
 
 
 def _serve_parent(arguments: list[str]) -> int:
-    from dppo.process import end_with_parent, parse, start_logging
+    from dppo.machine import end_with_parent
+    from dppo.process import parse, start_logging
     from dppo.wire.socket_links import SocketWorkerLink
     from workers.core import Core
     from workers.envs import quiet

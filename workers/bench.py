@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dppo.children import answers, children
 from dppo.config import Config, RunConfig
 from dppo.errors import RunFailedError
-from dppo.process import THREAD_VARIABLES
+from dppo.machine import THREAD_VARIABLES, usable_cores
 from workers.envs import make_env, make_vec, quiet, spaces_of
 
 Ends = list[NDArray[np.bool_]]
@@ -132,7 +132,7 @@ def bench(env_id: str, seconds: float) -> Bench:
         speeds[rows], ends = stepped(env_id, rows, seconds)
     raw = _raw(env, ends)
     env.close()
-    cores = len(os.sched_getaffinity(0))
+    cores = usable_cores()
     best = max(speeds, key=lambda rows: speeds[rows])
     return Bench(
         env=env_id,

@@ -3,7 +3,8 @@
 
 def main() -> None:
     """Step when all are ready to, and answer how fast it went."""
-    from dppo.process import leave, no_window, one_thread
+    from dppo.machine import no_window, one_thread
+    from dppo.process import leave
 
     one_thread()
     no_window()

@@ -104,7 +104,7 @@ class Calibrator:
         Raises:
             UsageError: says which setting.
         """
-        returns, safety = policy.config.returns, policy.config.safety
+        returns = policy.config.returns
         if not policy.networks.has_variance:
             raise UsageError("the run has no variance critic (--no-variance-critic): no sigma")
         if returns.gamma_bar != "paper" or returns.delta_reward != "scaled":
@@ -116,7 +116,7 @@ class Calibrator:
         trace = returns.return_trace
         exact = replace(returns, gae_lambda=trace, lambda_ret=trace, targets="monte-carlo")
         self._policy, self._max_steps = policy, max_steps
-        self._config = replace(policy.config, returns=exact, safety=safety)
+        self._config = replace(policy.config, returns=exact)
         self._found: dict[tuple[int, int], Spread] = {}
 
     def note(self, episode: Episode, trajectory: Trajectory) -> None:

@@ -21,7 +21,7 @@ from dppo.action_spaces import SUPPORTED, kind_and_sizes
 from dppo.config import RunConfig
 from dppo.errors import UsageError
 from dppo.spaces import Spaces
-from workers import four_rooms, hazards
+from workers import four_rooms, hazards  # noqa: F401  importing them registers their ids
 from workers.generic_vec import GenericVec
 from workers.hazardous_vec import HazardousVec
 from workers.heart import beat
@@ -47,7 +47,6 @@ def make_env(config: RunConfig) -> Env:
         UsageError: unknown id (with near names), wrong keyword arguments, missing packages.
     """
     beat()  # many may take long
-    _register()
     known = sorted(gymnasium.registry)
     name = config.env.rpartition(":")[2]
     if ":" not in config.env and name not in known:
@@ -146,14 +145,7 @@ def _vec(
 
 
 def _make(env_id: str, kwargs: dict[str, Any]) -> Env:
-    _register()
     return gymnasium.make(env_id, disable_env_checker=True, **kwargs)
-
-
-def _register() -> None:
-    """Our own ids, also where a test has cleared Gymnasium's registry."""
-    four_rooms.register()
-    hazards.register()
 
 
 def _flat(env: Env) -> Env:

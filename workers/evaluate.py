@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dppo.statistics import Measure, intervals, share_interval, spread, tail_mean
+from dppo.statistics import Measure, intervals, spread, tail_mean, wilson_interval
 from dppo.store.checkpoint import Checkpoint
 from dppo.store.contents import config_in
 from dppo.streams import stream
@@ -54,7 +54,7 @@ class Evaluation:
             found |= {f"{name}_min": float(values.min()), f"{name}_max": float(values.max())}
         falls = sum(episode.terminated for episode in chosen)
         found["falls"] = falls / len(chosen)
-        found["falls_interval"] = list(share_interval(falls, len(chosen)))
+        found["falls_interval"] = list(wilson_interval(falls, len(chosen)))
         lengths = np.array([float(episode.length) for episode in chosen])
         found |= self._figures("length", lengths, {"mean": _MEASURES["mean"]})
         if len(chosen) == 1:

@@ -23,10 +23,10 @@ from dppo.distributions import distribution_of
 from dppo.experience import Experience
 from dppo.gradients import Minibatch, Minibatches, block_gradient, skips, slot_kls
 from dppo.losses import AdvantageStatistics, combine
+from dppo.machine import give_back_memory
 from dppo.moments import Moments
 from dppo.networks import Networks
 from dppo.normalizer import Statistics
-from dppo.process import give_back_memory
 from dppo.rollout import prepare
 from dppo.spaces import Spaces
 from dppo.sums import Block, aligned_blocks, members, sum_rows

@@ -5,10 +5,8 @@ fault that ends it, an external worker whatever ended it.
 """
 
 import contextlib
-import json
 import random
 import signal
-import socket
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +15,9 @@ from dppo.chaos.plan import LINK_KINDS, Fault
 from dppo.chaos.processes import Child, Handle, children_of
 from dppo.chaos.proxy import Proxy
 from dppo.errors import RunFailedError, UsageError
+from dppo.machine import free_port
 from dppo.store.checkpoint import names
+from dppo.store.reading import read_object
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +41,6 @@ class _External:
     """Faults of its link that last."""
 
 
-def read_result(run_dir: Path) -> dict[str, object]:
-    """A run's result.json; empty while there is none."""
-    try:
-        values: dict[str, object] = json.loads((run_dir / "result.json").read_text())
-    except (OSError, ValueError):
-        return {}
-    return values
-
-
 class Cast:
     """Everybody who takes part in one run."""
 
@@ -57,7 +48,7 @@ class Cast:
         self._setup, self._folder, self._mark = setup, folder, mark
         self._dice = random.Random(seed)
         self.run_dir = folder / "run"
-        self.port = _free_port()
+        self.port = free_port()
         self.externals: dict[str, _External] = {}
         self._undo: list[tuple[float, Callable[[], None]]] = []
         self._stopped: list[Handle] = []
@@ -83,7 +74,7 @@ class Cast:
         code = self.learner.popen.returncode
         if code == 2 and not (self.run_dir / "config.json").exists():
             raise UsageError(f"the learner refuses the run: {self.learner.complaint()}")
-        if read_result(self.run_dir).get("status") == "finished":
+        if read_object(self.run_dir / "result.json").get("status") == "finished":
             return True
         if not self._asked:
             if code == 0:  # --stop-at
@@ -249,11 +240,3 @@ class Cast:
         self._started = [one for one in self._started if one.running]
         self._started.append(child)
         return child
-
-
-def _free_port() -> int:
-    """A loopback port that was free a moment ago."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

@@ -13,6 +13,7 @@ from dppo.chaos.drill import ByClock, ByIteration, Drill
 from dppo.chaos.outcome import Outcome
 from dppo.chaos.plan import KINDS, Fault, Plan
 from dppo.errors import RunFailedError, UsageError
+from dppo.files import safe_name
 from dppo.settings import require
 
 _SMALL = (
@@ -207,7 +208,7 @@ def _new_folder(args: ChaosArgs) -> tuple[Path, bool]:
         UsageError: it cannot be written, or holds something.
     """
     now = datetime.now(UTC).strftime("%Y%m%dT%H%M%S")
-    folder = Path(args.out or f"runs/chaos-{args.env.replace('/', '-').replace(':', '-')}-{now}")
+    folder = Path(args.out or f"runs/chaos-{safe_name(args.env)}-{now}")
     try:
         is_ours = not folder.exists()
         if not is_ours and any(folder.iterdir()):

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from dppo.chaos.cast import Cast, Setup, read_result
+from dppo.chaos.cast import Cast, Setup
 from dppo.chaos.outcome import FaultRecord, Outcome, Series
 from dppo.chaos.plan import Fault, Plan
 from dppo.chaos.processes import (
@@ -25,6 +25,7 @@ from dppo.chaos.processes import (
 )
 from dppo.chaos.progress import Progress, median_seconds
 from dppo.errors import RunFailedError
+from dppo.store.reading import read_object
 
 _LOOK_SECONDS = 0.01
 _LAST_LOOKS = 5
@@ -199,7 +200,7 @@ class Drill:
         if listeners(cast.port):
             outcome.left_behind.append(f"a socket that listens on port {cast.port}")
         outcome.left_behind += [str(path) for path in sorted(self._shared) if path.exists()]
-        result = read_result(cast.run_dir)
+        result = read_object(cast.run_dir / "result.json")
         outcome.status = str(result.get("status", ""))
         outcome.sha256 = str(result.get("parameters_sha256", ""))
         outcome.exact = bool(result.get("exact"))

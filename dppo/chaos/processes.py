@@ -12,7 +12,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from dppo.process import own_program
+from dppo.machine import own_program
 
 MARK = "DPPO_DRILL"
 _PAGE = os.sysconf("SC_PAGE_SIZE")

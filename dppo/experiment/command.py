@@ -13,7 +13,7 @@ from dppo.errors import UsageError
 from dppo.experiment.folder import Folder, Plan
 from dppo.experiment.plan import Grid, whole_number
 from dppo.experiment.table2 import ENVIRONMENTS, table2
-from dppo.process import usable_cores
+from dppo.machine import usable_cores
 from dppo.settings import require
 
 _USAGE = (

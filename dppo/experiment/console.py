@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Any, Self
 
+from dppo.process import clock
+
 _PLAIN_SECONDS = 30.0
 """Plain lines come no faster than this."""
 
@@ -89,10 +91,3 @@ class Console:
         for place, row in enumerate(self._rows):
             share, text = rows[place] if place < len(rows) else (0.0, "")
             self._bar.update(row, completed=share, description=text, visible=place < len(rows))
-
-
-def clock(seconds: float) -> str:
-    """`12:05:09`."""
-    minutes, rest = divmod(int(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02}:{rest:02}"

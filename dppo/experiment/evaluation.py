@@ -41,14 +41,7 @@ def normalised(values: Any) -> dict[str, Any]:  # noqa: ANN401  any JSON
     if not isinstance(values, dict):
         raise ValueError(f"found a {type(values).__name__}, expected an object")
     episodes = values.get("episodes")
-    if not isinstance(episodes, list):  # lists side by side
-        episodes = [
-            {"return": score, "length": length}
-            for score, length in zip(
-                values.get("returns", []), values.get("lengths", []), strict=True
-            )
-        ]
-    if not episodes:
+    if not isinstance(episodes, list) or not episodes:
         raise ValueError(f"found {', '.join(values) or 'nothing'}, expected episodes")
     settings = {name: values[name] for name in _SETTINGS if name in values}
     found: dict[str, Any] = {"settings": settings} if settings else {}

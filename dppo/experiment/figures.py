@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from dppo.experiment.measure import Cell, curve_of
-from dppo.files import replace_durably
+from dppo.files import replace_durably, safe_name
 from dppo.four_rooms.style import BLUE, GREY, INK, RED, figure, look
 
 DPI = 150
@@ -31,10 +31,9 @@ def save_figures(folder: Path, cells: Sequence[Cell]) -> list[tuple[str, str]]:
 def _all(cells: Sequence[Cell]) -> Iterator[tuple[str, str, Any]]:
     for env in dict.fromkeys(cell.env for cell in cells):
         arms = [cell for cell in cells if cell.env == env and cell.finished]
-        safe_name = env.replace("/", "-").replace(":", "-")
         if any(curve_of(cell) is not None for cell in arms):
             yield (
-                f"curves-{safe_name}.png",
+                f"curves-{safe_name(env)}.png",
                 f"{env}: mean return of the last 100 training episodes; mean and one standard "
                 "deviation over the seeds, all arms.",
                 _curves(env, arms),
@@ -42,7 +41,7 @@ def _all(cells: Sequence[Cell]) -> Iterator[tuple[str, str, Any]]:
         evaluated = [cell for cell in arms if cell.evaluated("free", "return") is not None]
         if evaluated:
             yield (
-                f"policies-{safe_name}.png",
+                f"policies-{safe_name(env)}.png",
                 f"{env}: returns of evaluation episodes of the final policies, free starts; one "
                 "column a seed. Bar: from the 10th to the 90th percentile; line: the median; "
                 "dots: the worst tenth.",

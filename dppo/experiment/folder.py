@@ -18,10 +18,9 @@ from dppo.errors import UsageError
 from dppo.experiment.plan import Grid, Run
 from dppo.files import replace_durably, take_lock
 from dppo.store.checkpoint import prune
+from dppo.store.reading import newest_row, read_object
 from dppo.store.run_directory import read_config
 
-_TAIL = 65536
-"""More than one line's bytes."""
 _KEPT_SESSIONS = 100
 
 
@@ -141,27 +140,19 @@ class Folder:
 
     def result(self, run: Run) -> dict[str, Any]:
         """How the run has ended; empty: it has not."""
-        return _object_in(self.run(run) / "result.json")
+        return read_object(self.run(run) / "result.json")
 
     def evaluation(self, run: Run) -> dict[str, Any]:
         """Its evaluation; empty: there is none."""
-        return _object_in(self.run(run) / "evaluation.json")
+        return read_object(self.run(run) / "evaluation.json")
 
     def facts(self, run: Run) -> dict[str, Any]:
         """config.json: settings, versions; empty: it has not begun."""
-        return _object_in(self.run(run) / "config.json")
+        return read_object(self.run(run) / "config.json")
 
     def newest_row(self, run: Run) -> dict[str, Any]:
         """The last whole line of its metrics; empty: none yet."""
-        file = self.run(run) / "metrics.jsonl"
-        try:
-            with file.open("rb") as lines:
-                lines.seek(max(0, os.fstat(lines.fileno()).st_size - _TAIL))
-                whole = lines.read().split(b"\n")[:-1]  # what follows the last newline is torn
-            row = json.loads(whole[-1]) if whole else {}
-        except (OSError, ValueError):
-            return {}
-        return row if isinstance(row, dict) else {}
+        return newest_row(self.run(run))
 
     def steps(self, run: Run) -> int:
         """Environment steps so far."""
@@ -187,7 +178,7 @@ class Folder:
 
     def failures(self) -> dict[str, str]:
         """Runs that have failed, with the reason."""
-        return {name: str(why) for name, why in _object_in(self.path / "failures.json").items()}
+        return {name: str(why) for name, why in read_object(self.path / "failures.json").items()}
 
     def note_failures(self, failed: Mapping[str, str], runs: Iterable[Run]) -> None:
         """Failures of these runs replace what was noted of them before."""
@@ -199,12 +190,3 @@ class Folder:
     def write(self, name: str, text: str) -> None:
         """Replace a file of the experiment, all or nothing."""
         replace_durably(self.path / name, text.encode())
-
-
-def _object_in(file: Path) -> dict[str, Any]:
-    """A JSON object; empty: there is none, or not a whole one."""
-    try:
-        values = json.loads(file.read_text())
-    except (OSError, ValueError):
-        return {}
-    return values if isinstance(values, dict) else {}

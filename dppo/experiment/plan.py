@@ -9,6 +9,7 @@ from typing import Any, Self
 from dppo.config import Config
 from dppo.errors import UsageError
 from dppo.experiment.settings import Settings, resolved, words_of
+from dppo.files import safe_name
 
 _KEY = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+-]*")
 _STEPS_PER_SECOND = {"Ant": 13.6e3, "Walker2d": 21e3, "Hopper": 27e3, "HalfCheetah": 41e3}
@@ -50,8 +51,7 @@ class Run:
     @property
     def name(self) -> str:
         """Of its folder."""
-        env = self.env.replace("/", "-").replace(":", "-")
-        return f"{env}__{self.arm}__s{self.seed}"
+        return f"{safe_name(self.env)}__{self.arm}__s{self.seed}"
 
     @property
     def psi(self) -> float:
@@ -84,7 +84,7 @@ class Run:
     @property
     def real_steps(self) -> int:
         """Whole iterations [env steps]."""
-        return self.config.iterations * self.config.rollout.samples
+        return self.config.env_steps(self.config.iterations)
 
     @property
     def words(self) -> list[str]:

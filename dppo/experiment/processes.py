@@ -13,7 +13,7 @@ from typing import IO
 from dppo.experiment.evaluation import evaluation_words, normalised
 from dppo.experiment.folder import Folder
 from dppo.experiment.schedule import Stage, Task
-from dppo.process import own_program
+from dppo.machine import own_program
 
 _TRAINER = (
     "--local-workers", "1", "--listen", "auto", "--resume", "auto", "--keep-checkpoints", "2",

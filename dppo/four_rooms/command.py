@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from dppo.config import require_seed
 from dppo.errors import UsageError
 from dppo.files import replace_durably
 from dppo.four_rooms.agent import Outcome, Progress
@@ -23,7 +24,8 @@ from dppo.four_rooms.experiment import (
 from dppo.four_rooms.processes import learn_on_cores
 from dppo.four_rooms.settings import AgentConfig
 from dppo.four_rooms.world import World, WorldConfig
-from dppo.process import Terminated, usable_cores
+from dppo.machine import usable_cores
+from dppo.process import Terminated
 from dppo.settings import require
 
 
@@ -57,7 +59,7 @@ class FourRoomsArgs:
         for name in ("trials", "episodes"):
             require(getattr(self, name) >= 1, name, getattr(self, name), ">= 1")
         require(self.jobs >= 0, "jobs", self.jobs, ">= 0")
-        require(0 <= self.seed < 2**63, "seed", self.seed, "0 <= seed < 2**63")
+        require_seed(self.seed)
         alpha = self.plain_alpha_critic
         require(0 < alpha <= 1, "plain_alpha_critic", alpha, "0 < rate <= 1")
 

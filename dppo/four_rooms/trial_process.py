@@ -3,7 +3,8 @@
 
 def main() -> None:
     """Learn what the parent asks for."""
-    from dppo.process import leave, one_thread
+    from dppo.machine import one_thread
+    from dppo.process import leave
 
     one_thread()
     leave(_work)

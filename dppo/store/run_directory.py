@@ -21,7 +21,7 @@ from typing import Any
 
 from dppo.config import Config
 from dppo.errors import SupersededError, UsageError
-from dppo.files import replace_durably, take_lock
+from dppo.files import replace_durably, safe_name, take_lock
 from dppo.store.checkpoint import names
 
 _RUN_ID = re.compile("[0-9a-f]{16}")
@@ -29,7 +29,7 @@ _RUN_ID = re.compile("[0-9a-f]{16}")
 
 def default_path(config: Config, name: str) -> Path:
     """runs/<env>__<name>__psi<psi>__s<seed>__<UTC time>."""
-    env = config.run.env.replace("/", "-").replace(":", "-")
+    env = safe_name(config.run.env)
     now = datetime.now(UTC).strftime("%Y%m%dT%H%M%S%f")[:-3]
     return Path("runs") / f"{env}__{name}__psi{config.safety.psi:g}__s{config.run.seed}__{now}"
 

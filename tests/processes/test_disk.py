@@ -12,9 +12,9 @@ from dppo.process import say
 from dppo.store.ledger import IterationLine
 from learner import disk as disk_module
 from learner.disk import Disk, GrowingFile
+from learner.logfile import FileHandler
 from learner.report import IterationReport
 from learner.runlog import RunLog
-from learner.signals import FileHandler
 from tests.faulty_disk import FaultyDisk, interrupted
 
 LINES = [b'{"iteration": %d}\n' % number for number in range(1, 7)]

@@ -175,7 +175,7 @@ def test_a_resumed_run_does_not_forget_how_often_a_slot_was_dropped_running():
     deadlines = Deadlines(4, drop_limit=2)
     once, twice = replace(UPDATE, dropped=(1,)), replace(UPDATE, dropped=(1, 2))
     before: list[Line] = [once, twice, DONE]
-    Ledger(CONFIG.rollout, print, deadlines, Accounts.of(4, before))
+    deadlines.resume(Accounts.of(4, before).running)
     round_ = closed(0)
     deadlines.open(round_, 0.0)
     assert round_.required == {1}

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from dppo.process import own_program
+from dppo.machine import own_program
 from dppo.wire.memory_links import MemoryHub
 from dppo.wire.socket_links import Alarm, SocketLearnerLink
 from learner import local
@@ -162,7 +162,7 @@ def test_a_worker_that_holds_the_interpreter_or_is_stopped_dies_with_its_learner
     """The thread that sees the socket's end gone has no chance in either."""
     source = """
         import os, subprocess, sys, time
-        child = "from dppo.process import end_with_parent as e; e(); print(1, flush=True); "
+        child = "from dppo.machine import end_with_parent as e; e(); print(1, flush=True); "
         hang = "import re; re.match('(a+)+$', 60 * 'a' + 'b')"
         for rest in ("import time; time.sleep(600)", hang):
             words = [sys.executable, "-c", child + rest]

@@ -188,7 +188,7 @@ def test_signs_of_life_are_sent_beside_steps_that_take_microseconds():
 
 
 MOVES = """
-    from dppo.process import one_thread
+    from dppo.machine import one_thread
 
     one_thread()
     import resource

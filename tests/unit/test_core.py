@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import pytest
 
-from dppo.process import usable_cores
+from dppo.machine import usable_cores
 from workers import core as module
 from workers.core import Core
 

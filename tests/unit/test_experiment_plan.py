@@ -269,16 +269,6 @@ def test_an_evaluation_keeps_what_it_has_of_each_episode():
     assert found["episodes"] == [{name: episode[name] for name in list(episode)[:-1]}]
 
 
-def test_an_evaluation_of_lists_side_by_side_has_free_starts():
-    found = normalised({"episodes": 2, "returns": [1.0, 2.0], "lengths": [3, 4]})
-    assert found == {
-        "episodes": [
-            {"start": "free", "return": 1.0, "length": 3},
-            {"start": "free", "return": 2.0, "length": 4},
-        ]
-    }
-
-
 @pytest.mark.parametrize(
     ("values", "sentence"),
     [

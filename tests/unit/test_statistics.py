@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dppo.statistics import cvar, intervals, share_interval, tail_mean
+from dppo.statistics import cvar, intervals, tail_mean, wilson_interval
 
 
 def mean(values):
@@ -72,6 +72,6 @@ def test_rows_of_several_numbers_are_drawn_together():
     ],
 )
 def test_the_interval_of_a_share_is_wilsons(count, trials, expected):
-    assert share_interval(count, trials) == pytest.approx(expected, abs=5e-5)
-    low, high = share_interval(trials - count, trials)
+    assert wilson_interval(count, trials) == pytest.approx(expected, abs=5e-5)
+    low, high = wilson_interval(trials - count, trials)
     assert (1 - high, 1 - low) == pytest.approx(expected, abs=5e-5)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from dppo.arguments import RunFolder
-from dppo.config import RunConfig
+from dppo.config import RunConfig, require_seed
 from dppo.settings import require
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class EvalArgs:
             "nothing with --calibration: sigma is of the returns in the run's environment",
         )
         require(self.max_steps >= 0, "max_steps", self.max_steps, ">= 0")
-        require(0 <= self.seed < 2**63, "seed", self.seed, "0 <= seed < 2**63")
+        require_seed(self.seed)
 
 
 def run(args: EvalArgs) -> int:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dppo.arguments import RunFolder
+from dppo.config import require_seed
 from dppo.settings import require
 from workers.commands.targets import check_targets
 
@@ -31,7 +32,7 @@ class ExportArgs:
             "empty and --torchscript, too",
             "a file for one of them",
         )
-        require(0 <= self.seed < 2**63, "seed", self.seed, "0 <= seed < 2**63")
+        require_seed(self.seed)
 
 
 def run(args: ExportArgs) -> int:

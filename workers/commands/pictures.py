@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dppo.arguments import RunFolder
+from dppo.config import require_seed
 from dppo.settings import require
 from workers.commands.targets import check_targets
 
@@ -32,7 +33,7 @@ class _Args:
         """Refuse what cannot be run."""
         require(self.episodes >= 1, "episodes", self.episodes, ">= 1")
         require(self.max_steps >= 0, "max_steps", self.max_steps, ">= 0")
-        require(0 <= self.seed < 2**63, "seed", self.seed, "0 <= seed < 2**63")
+        require_seed(self.seed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +85,7 @@ def _draw_unseen() -> None:
         UsageError: what MUJOCO_GL asks for is not there.
     """
     from dppo.errors import UsageError
-    from dppo.process import draw_unseen
+    from dppo.machine import draw_unseen
 
     draw_unseen()
     # a viewer that could not be made complains once more when it is thrown away
