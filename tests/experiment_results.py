@@ -12,7 +12,7 @@ STDS = {"higher": [4.0, 1.0], "lower": [1.0, 4.0], "open": [1.0, 4.0]}
 def compared(**verdicts):
     """What results.json has of an arm against the baseline, with these verdicts; else open."""
     of = {name: verdicts.get(name, "open") for name in ("mean", "spread", "within", "policy_mean",
-                                                        "life", "speed")}  # fmt: skip
+                                                        "life", "falls", "speed")}  # fmt: skip
     stds = STDS[of["spread"]]
     return {
         "last200": {
@@ -29,7 +29,7 @@ def compared(**verdicts):
                 "mean_beyond_goal": {"difference": 0.05, "interval": None},
             },
             "length": {"difference": 0.0, "interval": AROUND_0[of["life"]]},
-            "terminated": {},
+            "terminated": {"difference": 0.0, "interval": AROUND_0[of["falls"]]},
         },
         "on_the_way": {
             "1000000": {"difference": 0.0, "interval": AROUND_0[of["speed"]]},

@@ -62,6 +62,8 @@ def judged(verdict: str, claimed: str, cost: str = "") -> str:
         return f"The claim holds here: {verdict}."
     if verdict in ("higher", "lower"):
         return f"The claim does not hold here: {verdict}."
+    if verdict.startswith("not judged"):
+        return f"{verdict[0].upper()}{verdict[1:]}."
     return f"Not decided: {verdict}."
 
 

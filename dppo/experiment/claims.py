@@ -92,15 +92,20 @@ def _of_consistency(row: Row) -> Iterator[Claim]:
 def _of_life(row: Row) -> Iterator[Claim]:
     found = row.comparison.get("free", {})
     policies = [arm["evaluation"].get("free", {}) for arm in (row.safe, row.plain)]
-    if not {"length", "terminated"} <= set(found) or not any(one["falls"] for one in policies):
-        return  # nobody falls here, or nobody looked
+    if not {"length", "terminated"} <= set(found):
+        return  # nobody looked
+    claim = f"{row.env}: risk-averse agents have a longer life-span"
     lengths = [one["length_mean"] for one in policies]
     falls = [one["falls"] for one in policies]
+    if not any(falls):
+        yield claim, f"no episode ends before {lengths[0]:.0f} steps", "Not judged: nobody falls."
+        return
+    fewer = of_interval(found["terminated"]["interval"], min(found["seeds"]))
     yield (
-        f"{row.env}: risk-averse agents have a longer life-span",
+        claim,
         f"episodes of {lengths[0]:.0f} steps against {lengths[1]:.0f}, difference "
         f"{found['length']['difference']:+.0f}{ends(found['length']['interval'], 0)}; falls "
-        f"{falls[0]:.0%} against {falls[1]:.0%}",
+        f"{falls[0]:.0%} against {falls[1]:.0%} of the episodes ({fewer})",
         judged(of_interval(found["length"]["interval"], min(found["seeds"])), "higher"),
     )
 

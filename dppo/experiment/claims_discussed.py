@@ -8,6 +8,7 @@ import numpy as np
 
 from dppo.experiment.calibrated import OPEN, OUTSIDE, WITHIN
 from dppo.experiment.claim_rows import Claim, Row, judged, times
+from dppo.experiment.numbers import both_ends
 from dppo.experiment.significance import SIGNIFICANT, Ratio, ratio_over
 from dppo.experiment.together import FEWEST, WITHIN_POLICIES, measures
 from dppo.experiment.verdicts import Summary, of_ratio
@@ -141,17 +142,20 @@ def _of_sigma(found: list[Row], part: str, where: str) -> Iterator[Claim]:
     if within == len(verdicts):
         judgement = "The claim holds here, within 25 %."
     elif outside:
-        judgement = f"Does not hold within 25 % for {outside} of {len(verdicts)} policies."
+        judgement = (
+            f"Does not hold within 25 % for {outside} of {len(verdicts)} policies; it holds for "
+            f"{within}, and is not decided for {still_open}."
+        )
     else:
         judgement = f"Not decided within 25 % for {still_open} of {len(verdicts)} policies."
     yield (
         f"{OF_SIGMA} (abstract, equation 8): {where}",
         f"predicted over empirical standard deviation {min(ratios):.2f} to {max(ratios):.2f}, "
-        f"median {np.median(ratios):.2f}; by their intervals {within} of {len(verdicts)} policies "
-        f"are within 25 %, {outside} outside, {still_open} open",
+        f"median {np.median(ratios):.2f}; by their intervals, of the {len(verdicts)} policies "
+        f"with ψ 0 or the paper's: {within} within 25 %, {outside} outside, {still_open} open",
         judgement,
     )
 
 
 def _times(one: Summary) -> str:
-    return times(one["ratio"], one["interval"])
+    return f", {one['ratio']:.2f} times{both_ends(one)}"

@@ -4,7 +4,7 @@ import inspect
 import platform
 import shlex
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -152,12 +152,15 @@ def _table2(args: Table2Args, theirs: list[str]) -> Grid:
 
 def _experiment(grid: Grid, args: GridArgs, name: str) -> int:
     from dppo.experiment.console import Console
+    from dppo.experiment.processes import check_environments
     from dppo.experiment.significance import has_tests
     from dppo.experiment.work import Work
 
     folder, jobs = Folder(Path(args.out or f"runs/{name}")), args.jobs or usable_cores()
+    check_environments(run for run in grid.runs if not folder.is_trained(run))
     folder.lock()
     folder.add_to_plan(grid, _session(jobs))
+    every = replace(grid, runs=(*grid.runs, *folder.trained_before(grid)))
     print(
         f"{len(grid.runs)} runs of {grid.steps / len(grid.runs):,.0f} steps, {jobs} side by side, "
         f"in {folder.path}; the same command goes on where it stops",
@@ -169,7 +172,7 @@ def _experiment(grid: Grid, args: GridArgs, name: str) -> int:
             "'.[experiment]'"
         )
     with Console() as console:
-        work = Work(folder, grid, jobs, console)
+        work = Work(folder, every, jobs, console)
         is_over = work.run()
     failed = work.schedule.failed
     for run_name, reason in failed.items():

@@ -224,6 +224,7 @@ def returns_of_policies(ours: Floats, theirs: Floats) -> dict[str, Any]:
         if name != "cvar10" and (times := ratio(*by_seed)) is not None:
             found[f"{name}_ratio"] = times.value
             found[f"{name}_ratio_interval"] = times.interval
+            found[f"{name}_ratio_error"] = times.error
     return found
 
 

@@ -114,6 +114,12 @@ class Folder:
         }
         self.write("plan.json", json.dumps(values, indent=1) + "\n")
 
+    def trained_before(self, grid: Grid) -> tuple[Run, ...]:
+        """Trained runs of earlier grids in this folder: they are in the report, too."""
+        plan, names = self.read_plan(), {run.name for run in grid.runs}
+        before = plan.grid.runs if plan else ()
+        return tuple(run for run in before if run.name not in names and self.is_trained(run))
+
     def _check(self, run: Run, planned: Run | None) -> None:
         """The run is the one that was planned, and the one that was begun."""
         file = self.run(run) / "config.json"

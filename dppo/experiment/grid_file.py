@@ -7,7 +7,7 @@ from typing import Any
 
 from dppo.errors import UsageError
 from dppo.experiment.plan import Grid, Run, whole_number
-from dppo.experiment.settings import plain
+from dppo.experiment.settings import flag, plain
 
 _WORDS = ("title", "environments", "seeds", "steps", "evaluate", "baseline", "settings", "arms")
 _NEEDED = ("environments", "seeds", "steps", "arms")
@@ -52,10 +52,10 @@ def _grid(values: Mapping[str, Any], stem: str) -> Grid:
         for seed in _seeds(values["seeds"])
     ]
     baseline = values.get("baseline", _plain_arm(runs))
-    if baseline not in arms:
+    if not isinstance(baseline, str) or baseline not in arms:
         raise UsageError(f"baseline is {baseline!r}, expected an arm: {', '.join(arms)}")
     return Grid(
-        title=str(values.get("title", stem)),
+        title=_text(values, "title", stem),
         runs=tuple(runs),
         baseline=baseline,
         evaluate=whole_number("evaluate", _number(values, "evaluate", 100), 0),
@@ -84,10 +84,13 @@ def _on_each(
 
 
 def _settings(values: object, where: str) -> dict[str, Any]:
-    return {
-        (key := name.replace("-", "_")): plain(key, value)
-        for name, value in _table(values, where).items()
-    }
+    found: dict[str, Any] = {}
+    for name, value in _table(values, where).items():
+        key = name.replace("-", "_")
+        if key in found:
+            raise UsageError(f"{where} has {flag(key)} twice, with - and with _; give it once")
+        found[key] = plain(key, value)
+    return found
 
 
 def _table(value: object, where: str) -> dict[str, Any]:
@@ -100,6 +103,13 @@ def _texts(values: Mapping[str, Any], name: str) -> list[str]:
     found = values[name]
     if not isinstance(found, list) or not found or not all(isinstance(one, str) for one in found):
         raise UsageError(f'{name} is {found!r}, expected a list such as ["Hopper-v4"]')
+    return found
+
+
+def _text(values: Mapping[str, Any], name: str, default: str) -> str:
+    found = values.get(name, default)
+    if not isinstance(found, str):
+        raise UsageError(f"{name} is {found!r}, expected a text")
     return found
 
 

@@ -43,8 +43,10 @@ TOGETHER = (
     "mean there; the interquartile mean leaves out the lowest and the highest quarter, which "
     "may be a whole environment. Ratios are geometric means over environments of the ratios "
     "in the tables; brackets: Student's 95 % interval of their logarithms, environments taken"
-    " as a sample. They are the report's primary comparison of spreads: a single environment "
-    "shows little with few seeds."
+    " as a sample, and behind it Satterthwaite's, of these environments alone, by what seeds "
+    "differ. The first is too narrow where ratios agree by chance, so *lower* or *higher* is said "
+    "where both leave out 1. They are the report's primary comparison of spreads: a single "
+    "environment shows little with few seeds."
 )
 
 

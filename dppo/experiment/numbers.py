@@ -48,7 +48,13 @@ def over_seeds(value: float, by_seed: Sequence[float], form: str) -> str:
 
 def ratio_of(one: Any) -> str:  # noqa: ANN401  JSON
     """A ratio over environments with its interval; None: there is none."""
-    return NOTHING if one is None else f"{one['ratio']:.2f}{ends(one['interval'], 2)}"
+    return NOTHING if one is None else f"{one['ratio']:.2f}{both_ends(one)}"
+
+
+def both_ends(one: Mapping[str, Any]) -> str:
+    """The two intervals of a ratio over environments; empty: there is none."""
+    seeds = ends(one.get("interval_of_seeds"), 2)
+    return ends(one["interval"], 2) + (f", by seeds{seeds}" if seeds else "")
 
 
 def _short(value: float) -> str:

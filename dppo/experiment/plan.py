@@ -11,7 +11,7 @@ from dppo.errors import UsageError
 from dppo.experiment.settings import Settings, resolved, words_of
 from dppo.files import safe_name
 
-_KEY = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+-]*")
+_KEY = re.compile(r"[A-Za-z0-9][A-Za-z0-9.+-]{0,99}")
 _STEPS_PER_SECOND = {"Ant": 13.6e3, "Walker2d": 21e3, "Hopper": 27e3, "HalfCheetah": 41e3}
 """Of a whole machine (docs/performance.md): a first guess at what takes how long."""
 _COMMON = 20e3
@@ -39,8 +39,8 @@ class Run:
         """
         if not _KEY.fullmatch(arm):
             raise UsageError(
-                f"an arm is called {arm!r}, expected letters, digits, '.', '+' and '-': it is "
-                "part of folder names"
+                f"an arm is called {arm!r}, expected at most 100 letters, digits, '.', '+' and "
+                "'-': it is part of folder names"
             )
         try:
             config = resolved(env, seed, steps, settings)

@@ -6,12 +6,15 @@ import os
 import signal
 import subprocess
 import tempfile
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+from dppo.errors import UsageError
 from dppo.experiment.evaluation import evaluation_words, normalised
 from dppo.experiment.folder import Folder
+from dppo.experiment.plan import Run
 from dppo.experiment.schedule import Stage, Task
 from dppo.machine import own_program
 
@@ -54,6 +57,25 @@ class Child:
                 os.killpg(self.popen.pid, number)
             else:
                 self.popen.send_signal(number)
+
+
+def check_environments(runs: Iterable[Run]) -> None:
+    """Make each environment once, in another process.
+
+    Raises:
+        UsageError: one cannot be made; says why.
+    """
+    wanted = {(run.env, run.config.run.env_kwargs) for run in runs}
+    done = subprocess.run(
+        own_program("workers.environments", json.dumps(sorted(wanted))),
+        stdin=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        errors="replace",
+        check=False,
+    )
+    if done.returncode != 0:
+        said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+        raise UsageError(said[-1].removeprefix("error: "))
 
 
 def trainer_words(folder: Folder, task: Task) -> list[str]:

@@ -23,7 +23,7 @@ def resolved(env: str, seed: int, steps: int, settings: Settings) -> Config:
     """
     values = dict(settings)
     preset = values.pop("preset", "default")
-    if preset not in PRESETS:
+    if not isinstance(preset, str) or preset not in PRESETS:
         raise UsageError(f"preset is {preset!r}, expected one of {', '.join(PRESETS)}")
     groups = PRESETS[preset](env).to_dict()
     place = {name: group for group, fields in groups.items() for name in fields}
@@ -55,8 +55,19 @@ def check_name(name: str) -> None:
 
 
 def plain(name: str, value: Any) -> Any:  # noqa: ANN401  any TOML or JSON value
-    """A value of a file as `Config` takes it: a table of the environment's arguments is JSON."""
-    return json.dumps(value) if name == "env_kwargs" and isinstance(value, dict) else value
+    """A value of a file as `Config` takes it: a table of the environment's arguments is JSON.
+
+    Raises:
+        UsageError: it holds what JSON cannot.
+    """
+    if name != "env_kwargs" or not isinstance(value, dict):
+        return value
+    try:
+        return json.dumps(value, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise UsageError(
+            f"env-kwargs is {value!r}, expected what JSON can hold: {error}"
+        ) from error
 
 
 def flag(name: str) -> str:

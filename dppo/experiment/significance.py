@@ -6,6 +6,7 @@ that what differs between seeds and what differs between episodes are both in it
 
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 
@@ -29,9 +30,10 @@ def has_tests() -> bool:
 class Welch:
     """Difference of two means, variances not taken to be equal."""
 
-    difference: float
     interval: Interval
     p: float
+    error: tuple[float, float]
+    """Standard error of the difference, and its degrees of freedom (Satterthwaite)."""
 
 
 def welch(scores: Floats, others: Floats) -> Welch | None:
@@ -46,8 +48,8 @@ def welch(scores: Floats, others: Floats) -> Welch | None:
         warnings.filterwarnings("ignore", "Precision loss", RuntimeWarning)
         found = ttest_ind(scores, others, equal_var=False)
     low, high = found.confidence_interval(LEVEL)
-    difference = float(scores.mean() - others.mean())
-    return Welch(difference, (float(low), float(high)), float(found.pvalue))
+    error = math.hypot(*(float(spread(one)) / math.sqrt(len(one)) for one in (scores, others)))
+    return Welch((float(low), float(high)), float(found.pvalue), (error, float(found.df)))
 
 
 def welch_of(one: tuple[float, float], other: tuple[float, float], seeds: int) -> float | None:
@@ -76,6 +78,8 @@ class Ratio:
     value: float
     interval: Interval | None
     """Welch's or Student's, of the logarithms."""
+    error: tuple[float, float] | None = None
+    """Of the logarithm: see `Welch`."""
 
 
 def ratio(scores: Floats, others: Floats) -> Ratio | None:
@@ -84,8 +88,10 @@ def ratio(scores: Floats, others: Floats) -> Ratio | None:
         return None
     logs = np.log(scores), np.log(others)
     test = welch(*logs)
-    ends = None if test is None else (math.exp(test.interval[0]), math.exp(test.interval[1]))
-    return Ratio(math.exp(logs[0].mean() - logs[1].mean()), ends)
+    value = math.exp(logs[0].mean() - logs[1].mean())
+    if test is None:
+        return Ratio(value, None)
+    return Ratio(value, (math.exp(test.interval[0]), math.exp(test.interval[1])), test.error)
 
 
 def ratio_over(ratios: Floats) -> Ratio:
@@ -94,10 +100,28 @@ def ratio_over(ratios: Floats) -> Ratio:
     value, error = float(logs.mean()), float(spread(logs)) / math.sqrt(len(logs))
     if len(logs) < 2 or error == 0 or not has_tests():
         return Ratio(math.exp(value), None)
+    return Ratio(math.exp(value), _around(value, error, len(logs) - 1))
+
+
+def interval_of_seeds(ratios: Floats, errors: Sequence[tuple[float, float]]) -> Interval | None:
+    """Of the geometric mean of these ratios alone, by what seeds differ: Satterthwaite's.
+
+    `errors` are those of `Ratio`. None: no SciPy.
+    """
+    if not has_tests():
+        return None
+    squares = np.array([error**2 for error, _ in errors])
+    freedom = squares.sum() ** 2 / (squares**2 / [each for _, each in errors]).sum()
+    error = math.sqrt(squares.sum()) / len(ratios)
+    return _around(float(np.log(ratios).mean()), error, float(freedom))
+
+
+def _around(log: float, error: float, freedom: float) -> Interval:
+    """Student's interval of a number whose logarithm has this standard error."""
     from scipy.stats import t
 
-    half = float(t.ppf((1 + LEVEL) / 2, len(logs) - 1)) * error
-    return Ratio(math.exp(value), (math.exp(value - half), math.exp(value + half)))
+    half = float(t.ppf((1 + LEVEL) / 2, freedom)) * error
+    return math.exp(log - half), math.exp(log + half)
 
 
 def brown_forsythe(scores: Floats, others: Floats) -> float | None:

@@ -1,8 +1,9 @@
 """An arm against the baseline on all environments at once: one ratio per environment.
 
 Five seeds show little about a spread on one environment; what all environments say together shows
-more. Student's t of the logarithms of the ratios asks whether they lie to one side of 1, as far as
-the environments are a sample of those that one cares about.
+more. Two intervals say how sure it is: Student's t of the logarithms of the ratios, as far as the
+environments are a sample of those that one cares about; and, of these environments alone, by how
+seeds differ. The first is too narrow where ratios agree by chance.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dppo.experiment.significance import ratio_over
+from dppo.experiment.significance import interval_of_seeds, ratio_over
 
 FEWEST = 3
 """Environments."""
@@ -51,20 +52,26 @@ def measures(arms: Sequence[Any]) -> dict[str, dict[str, Any]]:
 
 def _measures(arms: Sequence[Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     for name, (part, kind, key) in _MEASURES.items():
-        ratios = [_ratio(arm, part, kind, key) for arm in arms]
-        if all(ratio is not None and ratio > 0 for ratio in ratios):
-            one = ratio_over(np.array(ratios))
+        found = [_compared(arm, part, kind) for arm in arms]
+        ratios = np.array([one.get(key) or 0.0 for one in found])
+        if ratios.min() > 0:
+            one = ratio_over(ratios)
+            errors = [error for each in found if (error := each.get(f"{key}_error"))]
+            is_known = len(errors) == len(ratios)
             yield (
                 name,
-                {"ratio": one.value, "interval": one.interval, "environments": len(ratios)},
+                {
+                    "ratio": one.value,
+                    "interval": one.interval,
+                    "interval_of_seeds": interval_of_seeds(ratios, errors) if is_known else None,
+                    "environments": len(ratios),
+                },
             )
 
 
-def _ratio(arm: Any, part: str, kind: str | None, key: str) -> float | None:  # noqa: ANN401  JSON
-    if not arm or not arm.get("against_baseline"):
-        return None
-    found = arm["against_baseline"].get(part, {})
+def _compared(arm: Any, part: str, kind: str | None) -> Mapping[str, Any]:  # noqa: ANN401  JSON
+    """Of an arm against the baseline; empty: too few seeds."""
+    found: Mapping[str, Any] = ((arm or {}).get("against_baseline") or {}).get(part, {})
     if min(found.get("seeds", [0])) < 2:
-        return None
-    ratio: float | None = (found if kind is None else found.get(kind, {})).get(key)
-    return ratio
+        return {}
+    return found if kind is None else found.get(kind, {})

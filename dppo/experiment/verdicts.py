@@ -33,7 +33,7 @@ def of_spread(comparison: Summary) -> str:
         return ONE_SEED
     if p is None:
         return f"not judged: {_why_no_test(found)}"
-    if p >= SIGNIFICANT:
+    if not p < SIGNIFICANT:  # nor is nan
         return f"no difference that {seeds} seeds can show"
     (ours, theirs), (near, far) = found["stds"], found["distances"]
     if (ours < theirs) != (near < far):
@@ -52,7 +52,11 @@ def of_ratio(found: Any) -> str:  # noqa: ANN401  JSON
     """A ratio over environments; None: there is none."""
     if found is None or found["interval"] is None:
         return "not judged: no interval"
-    return _side(found["interval"], 1.0, "no difference that these environments show together")
+    side = _side(found["interval"], 1.0, "no difference that these environments show together")
+    by_seeds = found.get("interval_of_seeds")
+    if by_seeds is not None and side in ("higher", "lower") and _side(by_seeds, 1.0, "") != side:
+        return f"{side} with environments as the sample, not by what seeds differ"
+    return side
 
 
 def _side(interval: Any, zero: float, neither: str) -> str:  # noqa: ANN401  JSON

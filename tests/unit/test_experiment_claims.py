@@ -147,6 +147,22 @@ def test_on_walker_the_mean_may_drop_as_far_as_the_papers(ours, judgement):
     assert found[2] == judgement
 
 
+def test_a_life_span_is_not_judged_where_nobody_falls():
+    results = results_of({"HalfCheetah-v4": {}})
+    for arm in results["environments"]["HalfCheetah-v4"]["arms"].values():
+        free = arm["evaluation"]["free"]
+        arm["evaluation"] = {"free": free | {"falls": 0.0}}
+    (found,) = [one for one in claims(results) if "life-span" in one[0]]
+    assert found[1:] == ("no episode ends before 10 steps", "Not judged: nobody falls.")
+
+
+def test_fewer_falls_are_told_beside_the_life_span():
+    (found,) = [one for one in claims(results_of({"Ant-v4": {"falls": "lower"}}))
+                if "life-span" in one[0]]  # fmt: skip
+    assert found[1].endswith("falls 50% against 50% of the episodes (lower)")
+    assert found[2] == "Not decided: no difference that 5 seeds can show."
+
+
 def test_learning_is_not_faster_by_the_number_that_the_mean_is_judged_by():
     results = results_of({"Ant-v4": {}})
     results["environments"]["Ant-v4"]["arms"]["psi-paper"]["steps"] = 1_000_000

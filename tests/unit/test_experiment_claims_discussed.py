@@ -59,6 +59,19 @@ def test_a_trade_off_is_a_lower_spread_at_a_lower_mean(kind, spreads, means, her
     assert found[1] == judgement
 
 
+def test_a_spread_that_is_lower_by_the_environments_alone_is_not_decided():
+    """Standard errors of .5 on each of 4 environments: .25 together, with 32 degrees ± .51."""
+    results = traded(everywhere(), "undiscounted", (0.6, 0.62, 0.6, 0.62), (1.0, 1.1, 0.9, 1.0))
+    for one in results["environments"].values():
+        found = one["arms"]["psi-paper"]["against_baseline"]["free"]["undiscounted"]
+        found["std_ratio_error"] = [0.5, 8.0]
+    here, judgement = said("trade-off", results)
+    assert "0.61 times [0.59, 0.63], by seeds [0.37, 1.01]" in here
+    assert judgement == (
+        "Not decided: lower with environments as the sample, not by what seeds differ."
+    )
+
+
 def test_no_trade_off_is_looked_for_on_two_environments_of_one_seed_or_without_a_ratio():
     assert said("trade-off", results_of({"Ant-v4": {}, "Hopper-v4": {}})) is None
     lower = ((0.5, 0.4, 0.6, 0.5), (0.9, 0.8, 0.85, 0.9))
@@ -140,12 +153,13 @@ def test_policies_without_spread_or_without_episodes_from_one_start_say_nothing_
 @pytest.mark.parametrize(
     ("verdicts", "here", "judgement"),
     [
-        (["within", "within"], "4 of 4 policies are within 25 %, 0 outside, 0 open",
+        (["within", "within"], "4 within 25 %, 0 outside, 0 open",
          "The claim holds here, within 25 %."),
-        (["within", "open"], "2 of 4 policies are within 25 %, 0 outside, 2 open",
+        (["within", "open"], "2 within 25 %, 0 outside, 2 open",
          "Not decided within 25 % for 2 of 4 policies."),
-        (["outside", "open"], "0 of 4 policies are within 25 %, 2 outside, 2 open",
-         "Does not hold within 25 % for 2 of 4 policies."),
+        (["outside", "open"], "0 within 25 %, 2 outside, 2 open",
+         "Does not hold within 25 % for 2 of 4 policies; it holds for 0, and is not decided for "
+         "2."),
     ],
 )  # fmt: skip
 def test_sigma_is_the_variance_if_no_policy_is_off_by_more_than_the_goal(

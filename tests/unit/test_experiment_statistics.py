@@ -11,6 +11,7 @@ from dppo.experiment.significance import (
     brown_forsythe,
     equal_spreads_of,
     has_tests,
+    interval_of_seeds,
     mann_whitney,
     power_of_brown_forsythe,
     ratio,
@@ -79,7 +80,7 @@ def test_welch_is_scipys_and_its_interval_is_worked_out_from_the_t_distribution(
     a, b = OTHERS.var(ddof=1) / 5, FIVE.var(ddof=1) / 5
     freedom = (a + b) ** 2 / (a**2 / 4 + b**2 / 4)
     half = stats.t.ppf(0.975, freedom) * np.sqrt(a + b)
-    assert found.difference == pytest.approx(15.6 - 11.2)
+    assert found.error == pytest.approx((np.sqrt(a + b), freedom))
     assert found.interval == pytest.approx((4.4 - half, 4.4 + half))
 
 
@@ -223,3 +224,19 @@ def test_a_ratio_over_environments_has_students_interval_of_the_logarithms():
 def test_an_interval_of_what_is_no_number_is_none():
     assert interval(np.array([1.0, np.nan])) is None
     assert interval(np.arange(101.0)) == pytest.approx((2.5, 97.5))
+
+
+def test_one_environments_interval_by_seeds_is_welchs():
+    one = ratio(np.array([2.0, 3.0, 5.0]), OTHERS)
+    assert one is not None
+    assert one.error is not None
+    assert interval_of_seeds(np.array([one.value]), [one.error]) == pytest.approx(one.interval)
+
+
+def test_over_environments_errors_are_added_by_satterthwaite():
+    """Four errors of .5, 8 degrees each: .25 and 32. One far larger one brings its own degrees."""
+    low, high = interval_of_seeds(np.full(4, 0.6), [(0.5, 8.0)] * 4) or (0.0, 0.0)
+    half = stats.t.ppf(0.975, 32) * 0.25
+    assert (low, high) == pytest.approx((0.6 * np.exp(-half), 0.6 * np.exp(half)))
+    low, _ = interval_of_seeds(np.ones(2), [(1e-6, 8.0), (0.2, 4.0)]) or (0.0, 0.0)
+    assert low == pytest.approx(np.exp(-stats.t.ppf(0.975, 4) * 0.1))

@@ -94,6 +94,7 @@ def test_one_seed_decides_nothing_about_policies():
         ([400.0, 100.0], 0.01, "higher"),
         ([400.0, 0.0], 0.03, "higher"),  # a baseline without any spread has no ratio
         ([100.0, 400.0], 0.06, "no difference that 5 seeds can show"),
+        ([100.0, 400.0], float("nan"), "no difference that 5 seeds can show"),
         ([0.0, 0.0], None, "not judged: seeds differ from their median all by the same"),
     ],
 )
