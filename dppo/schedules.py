@@ -1,6 +1,7 @@
 """What moves over a run: β, ψ and the step sizes. Pure functions of the run's own figures."""
 
 import math
+from dataclasses import replace
 
 from dppo.config import Config, KlConfig, SafetyConfig
 
@@ -23,6 +24,27 @@ def adapt_kl_coef(beta: float, kl: float, config: KlConfig, num_slots: int = 1) 
     elif kl < config.kl_low * config.kl_target:
         beta /= factor
     return min(max(beta, config.kl_coef_min), config.kl_coef_max)
+
+
+def scheduled_gamma(config: Config, iteration: int) -> float:
+    """γ of an iteration: its horizon 1 / (1 − γ) goes geometrically from gamma_start's to gamma's.
+
+    A short horizon first, since what comes at once is learned soonest; a long one at last, since a
+    fall ends all that would have come (OpenAI Five lengthened its horizon so: Berner et al. 2019).
+    """
+    returns, progress = config.returns, iteration / config.iterations
+    if returns.gamma_start < 0:
+        return returns.gamma
+    gap: float = (1 - returns.gamma_start) ** (1 - progress) * (1 - returns.gamma) ** progress
+    return 1 - gap
+
+
+def in_iteration(config: Config, iteration: int) -> Config:
+    """The settings with the γ of an iteration."""
+    gamma = scheduled_gamma(config, iteration)
+    if gamma == config.returns.gamma:
+        return config
+    return replace(config, returns=replace(config.returns, gamma=gamma, gamma_start=-1.0))
 
 
 def scheduled_psi(config: SafetyConfig, progress: float) -> float:

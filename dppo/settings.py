@@ -92,6 +92,8 @@ class ReturnsConfig:
 
     gamma: float = 0.99
     """γ: discount [per env step], 0..1."""
+    gamma_start: float = -1.0
+    """γ at first; 1 - γ goes geometrically to gamma's over the run; -1: same as gamma [0..1]."""
     gae_lambda: float = 0.95
     """λ: trace of the generalised advantage, of V and of σ alike [0..1]."""
     lambda_ret: float = -1.0
@@ -107,12 +109,10 @@ class ReturnsConfig:
         """Refuse what cannot be run."""
         for name in ("gamma", "gae_lambda"):
             require(0 <= getattr(self, name) <= 1, name, getattr(self, name), "0 .. 1")
-        require(
-            self.lambda_ret == -1 or 0 <= self.lambda_ret <= 1,
-            "lambda_ret",
-            self.lambda_ret,
-            "0 .. 1, or -1 for the same as gae_lambda",
-        )
+        for name, other in (("lambda_ret", "gae_lambda"), ("gamma_start", "gamma")):
+            value = getattr(self, name)
+            expected = f"0 .. 1, or -1 for the same as {other}"
+            require(value == -1 or 0 <= value <= 1, name, value, expected)
 
     @property
     def return_trace(self) -> float:

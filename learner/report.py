@@ -6,6 +6,7 @@ from dppo.config import Config
 from dppo.gradients import Sums
 from dppo.moments import merged
 from dppo.networks import Network
+from dppo.schedules import in_iteration
 from dppo.statistics import cvar
 from dppo.wire.messages import Collected
 from learner.state import State
@@ -78,6 +79,7 @@ class Finished:
     def report(self) -> IterationReport:
         """Its figures."""
         training, episodes = self.training, self.after.episodes
+        config = in_iteration(self.config, self.before.iteration)
         fit = merged([answer.fit for answer in self.collected])
         starts = merged([answer.start_sigma for answer in self.collected])
         spread = fit.m2 / max(fit.count, 1.0)
@@ -89,7 +91,7 @@ class Finished:
             "train/value_loss": training.mean("value_loss", "critic_weight"),
             "train/variance_loss": training.mean("variance_loss", "critic_weight"),
             "train/explained_variance": float(1 - spread[1] / spread[0]) if spread[0] > 0 else 0.0,
-            "train/reward_scale": self.before.statistics.reward_scale(self.config),
+            "train/reward_scale": self.before.statistics.reward_scale(config),
             "safety/psi": training.psi,
             "safety/sigma_mean": float(fit.mean[2]),
             "safety/adv_v_std": training.advantage_stds[0],

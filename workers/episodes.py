@@ -49,7 +49,7 @@ class Episodes:
         self.vec: Vec = training_vec(config.run, len(rows), remember=exact)
         self.adapter = Adapter(self.vec.single_observation_space, self.vec.single_action_space)
         self._rows, self._exact = tuple(rows), exact
-        self._seed, self._gamma = config.run.seed, config.returns.gamma
+        self._seed, self.gamma = config.run.seed, config.returns.gamma
         self._moved = np.zeros(len(rows), np.bool_)
         self.obs: Float64 = np.zeros((len(rows), self.adapter.obs_size))
         """[n, O] s_t, raw."""
@@ -87,7 +87,7 @@ class Episodes:
         self._check(self.obs, reward)
         self.steps += 1
         self.score += reward
-        self.discounted = self._gamma * self.discounted + reward
+        self.discounted = self.gamma * self.discounted + reward
         return Step(self.obs, reward, terminated, truncated)
 
     def is_exact(self, row: int) -> bool:

@@ -14,6 +14,7 @@ from dppo.errors import UsageError
 from dppo.losses import sigma_of
 from dppo.networks import Networks
 from dppo.normalizer import with_clock
+from dppo.schedules import in_iteration
 from dppo.spaces import Spaces
 from dppo.store.checkpoint import Checkpoint
 from dppo.store.contents import config_in, mean_reward, spaces_in, statistics_in
@@ -43,9 +44,9 @@ class FrozenPolicy:
         Raises:
             UsageError: the checkpoint was trained on other sizes.
         """
-        config = config_in(checkpoint)
+        config = in_iteration(config_in(checkpoint), checkpoint.facts["state"]["iteration"])
         self.config = config if run is None else replace(config, run=run)
-        """The run's, with the environment that the policy acts in."""
+        """The run's, with γ as it is there and the environment that the policy acts in."""
         trained = spaces_in(checkpoint)
         if trained != spaces:
             raise UsageError(

@@ -20,6 +20,7 @@ from dppo.moments import Moments
 from dppo.networks import Networks, through
 from dppo.normalizer import ObsNormalizer, Statistics, with_clock
 from dppo.rollout import Replay, Rollout
+from dppo.schedules import scheduled_gamma
 from dppo.streams import stream
 from workers.episodes import Episodes, Row, Step
 from workers.snapshots import packed, unpacked
@@ -111,6 +112,7 @@ class Slots:
             EnvironmentFailedError: an environment raised or returned what is not finite.
         """
         record = _Record(self.config, self.environments)
+        self.environments.gamma = scheduled_gamma(self.config, self.iteration)
         normalizer = statistics.obs_normalizer(self.config.rollout)
         vector, log_std = networks.split_policy(parameters)
         policy = networks.policy.layers(vector)

@@ -28,6 +28,7 @@ from dppo.moments import Moments
 from dppo.networks import Networks
 from dppo.normalizer import Statistics
 from dppo.rollout import prepare
+from dppo.schedules import in_iteration
 from dppo.spaces import Spaces
 from dppo.sums import Block, aligned_blocks, members, sum_rows
 from dppo.wire.links import WorkerLink
@@ -119,7 +120,7 @@ class Worker:
             task.parameters,
             statistics,
             task.psi,
-            self._config,
+            in_iteration(self._config, task.iteration),
         )
         answers = []
         for index, (_, facts), (experience, kept, critics) in zip(

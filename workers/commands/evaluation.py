@@ -100,7 +100,7 @@ def run(args: EvalArgs) -> int:
         "env_steps": checkpoint.facts["env_steps"],
         "actions": "most likely" if args.deterministic else "sampled",
         "action_std": policy.action_std,
-        "gamma": checkpoint.facts["config"]["returns"]["gamma"],
+        "gamma": policy.config.returns.gamma,
         "seed": args.seed,
     }
     if args.max_steps:
