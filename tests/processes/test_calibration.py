@@ -100,7 +100,11 @@ def checkpoint(lambda_ret=1.0, sigma_factor=1.0, v_shift=0.0, **env):
         "statistics/sigma_target": np.array([10.0, 7.0, 10 * sigma_std**2]),
         "episodes": np.array([[MEAN * STEPS, STEPS]]),
     }
-    facts = {"config": config.to_dict(), "spaces": dataclasses.asdict(sizes)}
+    facts = {
+        "config": config.to_dict(),
+        "spaces": dataclasses.asdict(sizes),
+        "state": {"iteration": 1},
+    }
     return Checkpoint(arrays, facts)
 
 

@@ -5,12 +5,22 @@ from dataclasses import replace
 
 import pytest
 
-from dppo.config import Config, KlConfig, RolloutConfig, RunConfig, SafetyConfig, UpdateConfig
+from dppo.config import (
+    Config,
+    KlConfig,
+    ReturnsConfig,
+    RolloutConfig,
+    RunConfig,
+    SafetyConfig,
+    UpdateConfig,
+)
 from dppo.schedules import (
     adapt_kl_coef,
     adapt_servo,
     dual_psi,
+    in_iteration,
     learning_rate_factor,
+    scheduled_gamma,
     scheduled_psi,
 )
 
@@ -158,3 +168,37 @@ def test_other_rates_do_not_fall(schedule):
 
 def test_no_variance_limit_is_infinite():
     assert math.isinf(SafetyConfig().variance_limit)
+
+
+def _growing(start, end):
+    """Of 4 iterations."""
+    return Config(
+        run=RunConfig(total_timesteps=4 * 6),
+        rollout=RolloutConfig(slots=2, num_envs=1, num_steps=3),
+        update=UpdateConfig(num_minibatches=1),
+        returns=ReturnsConfig(gamma=end, gamma_start=start),
+    )
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "gammas"),
+    [
+        (0.75, 0.984375, [0.75, 0.875, 0.9375, 0.96875, 0.984375]),  # horizons 4, 8, 16, 32, 64
+        (0.0, 0.0, [0.0] * 5),
+        (0.5, 1.0, [0.5, 1.0, 1.0, 1.0, 1.0]),  # there is no way to an endless horizon
+        (-1, 0.9, [0.9] * 5),
+    ],
+)
+def test_the_horizon_grows_geometrically(start, end, gammas):
+    config = _growing(start, end)
+    found = [scheduled_gamma(config, iteration) for iteration in range(5)]
+    assert found == pytest.approx(gammas, abs=1e-15)
+
+
+def test_the_settings_of_an_iteration_have_its_gamma_and_all_that_follows_from_it():
+    config = in_iteration(_growing(0.75, 0.984375), 2)
+    assert config.returns.gamma == pytest.approx(0.9375)
+    assert config.returns.variance_discount == pytest.approx((0.9375 * 0.95) ** 2)
+    assert in_iteration(config, 3) == config  # it moves no further
+    plain = _growing(-1, 0.9)
+    assert in_iteration(plain, 1) is plain
