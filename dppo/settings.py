@@ -113,6 +113,9 @@ class ReturnsConfig:
             value = getattr(self, name)
             expected = f"0 .. 1, or -1 for the same as {other}"
             require(value == -1 or 0 <= value <= 1, name, value, expected)
+        if self.gamma_start >= 0:
+            most = max(self.gamma, self.gamma_start)
+            require(most < 1, "gamma", most, "< 1 where it grows, at either end")
 
     @property
     def return_trace(self) -> float:

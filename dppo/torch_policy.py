@@ -95,7 +95,8 @@ class PolicyModule(nn.Module):
     def forward(self, obs: Tensor, steps: Tensor | None = None) -> Tensor:
         """Most likely actions [N, A], as the environment takes them, of raw observations [N, O].
 
-        A discrete action is a whole number per component. `steps` [N] since the reset are for
+        Of a Discrete space [N, 1]: its environment takes `[i, 0]`. A discrete action is a whole
+        number per component. `steps` [N] since the reset are for
         policies with a time feature.
 
         Raises:

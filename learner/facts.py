@@ -38,8 +38,11 @@ def run_facts(roster: Roster, code: str) -> dict[str, Any]:
     }
 
 
-def check_environment(before: dict[str, Any], now: dict[str, Any], path: Path) -> None:
+def check_environment(before: dict[str, Any], now: dict[str, Any], path: Path) -> bool:
     """A run goes on, or again, in the environment it had; other versions are worth a warning.
+
+    Returns:
+        Whether code, versions and floating point are those of before.
 
     Args:
         before, now: `run_facts`.
@@ -54,11 +57,12 @@ def check_environment(before: dict[str, Any], now: dict[str, Any], path: Path) -
             f"then, {now['environment']} now; install the versions it names: "
             f"{before['versions']}"
         )
-    for name in ("versions", "numerics"):
-        if before[name] != now[name]:
-            log.warning(
-                "%s were %s, are %s: do not expect the bits of an undisturbed run",
-                name,
-                before[name],
-                now[name],
-            )
+    changed = [name for name in ("code", "versions", "numerics") if before.get(name) != now[name]]
+    for name in changed:
+        log.warning(
+            "%s: %s before, %s now; do not expect the bits of an undisturbed run",
+            name,
+            before.get(name),
+            now[name],
+        )
+    return not changed

@@ -19,13 +19,29 @@ class Roster:
     """The first worker's report of the environment; all others must agree."""
     _hellos: dict[str, Hello] = field(default_factory=dict)
     numerics: str = ""
-    """Fingerprint of the first worker's floating point, and its libraries."""
+    """Fingerprint of the first worker's floating point, its code and libraries."""
+    code: str = ""
+    """The learner's own; empty: not compared."""
+    exact: bool = True
+    """No worker of the run computes otherwise than the first, or has other code."""
+    _others: set[str] = field(default_factory=set)
 
     def greet(self, hello: Hello) -> None:
-        """Note a worker; warn if its floating point or its libraries are not the first one's."""
+        """Note a worker; warn if its floating point, libraries or code are not what they were."""
         numerics = f"{hello.numerics}, {hello.versions}"
         self.numerics = self.numerics or numerics
-        if numerics != self.numerics:
+        if self.code and f"code {self.code}," not in hello.versions:
+            self._others.add(hello.worker)
+            log.warning(
+                "worker %s on %s has other code (%s) than the learner (code %s): what it computes "
+                "may be wrong, and the run is not exact; install the same version",
+                hello.worker,
+                hello.host,
+                hello.versions,
+                self.code,
+            )
+        elif numerics != self.numerics:
+            self._others.add(hello.worker)
             log.warning(
                 "worker %s on %s computes with (%s), the first worker with (%s): do not expect "
                 "the same bits as on one kind of machine",
@@ -44,12 +60,12 @@ class Roster:
             self.first = ready
         first = self.first
         if replace(ready, worker=first.worker) == first:
+            self.exact = self.exact and ready.worker not in self._others
             return ""
         return (
             f"{self.describe(ready.worker)} has another environment than {first.worker}: "
-            f"{spaces_in(ready)}, XML {ready.env_hash[:8]}, {ready.exact}; expected "
-            f"{spaces_in(first)}, XML {first.env_hash[:8]}, {first.exact}; install the same "
-            "versions of gymnasium and mujoco"
+            f"{_in_words(ready)}; expected {_in_words(first)}; install the same versions of "
+            "gymnasium, mujoco and the environment"
         )
 
     def forget(self, worker: str) -> None:
@@ -66,6 +82,11 @@ class Roster:
 
     def __iter__(self) -> Iterator[str]:
         return iter(tuple(self._hellos))
+
+
+def _in_words(ready: Ready) -> str:
+    xml = f", XML {ready.env_hash[:8]}" if ready.env_hash else ""
+    return f"{spaces_in(ready)}{xml}, {ready.exact}"
 
 
 def spaces_in(ready: Ready) -> Spaces:

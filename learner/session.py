@@ -75,6 +75,7 @@ class Session:
             patience,
             deadlines=self._deadlines,
         )
+        self._exchange.roster.code = self._made_by["code"]
         self._disk = Disk(folder.path, "the run's logs")
         self._saving = Saving(self._disk, folder.checkpoints, keep, self._checkpoint_facts)
         self._is_saved = False
@@ -98,10 +99,10 @@ class Session:
             self._write_config(networks)
         else:
             before = self._folder.read_json("config.json")
-            check_environment(before, self._facts, self._folder.path)
+            is_same = check_environment(before, self._facts, self._folder.path)
             check_snapshots(checkpoint)
             self.state = State.from_checkpoint(checkpoint)
-            self._exchange.exact = was_exact(checkpoint)
+            self._exchange.exact = was_exact(checkpoint) and is_same
             self._saving.resumed(self.state)
             log.warning(
                 "resuming at iteration %d of %d", self.state.iteration, self._config.iterations
@@ -200,6 +201,11 @@ class Session:
         return run_facts(self._exchange.roster, self._made_by["code"])
 
     @property
+    def _is_exact(self) -> bool:
+        """The bits are those of an undisturbed run, as far as that can be known."""
+        return self._exchange.exact and self._exchange.roster.exact
+
+    @property
     def _all_steps(self) -> int:
         """Environment steps of the whole run."""
         return self._config.env_steps(self._config.iterations)
@@ -225,7 +231,7 @@ class Session:
             "run": self._run_id,
             "generation": self.generation,
             "made_by": self._made_by,
-            "exact": self._exchange.exact,
+            "exact": self._is_exact,
         }
 
     def _write_config(self, networks: Networks) -> None:
@@ -258,7 +264,7 @@ class Session:
             "parameters_sha256": sha256(state.parameters),
             "episodes": state.finished_episodes,
             "restarts": self.generation - 1,
-            "exact": self._config.rollout.drop == 0 and self._exchange.exact,
+            "exact": self._config.rollout.drop == 0 and self._is_exact,
             "dropped_gradients": state.dropped_gradients,
             **self._ledger.accounts.figures(),
         }

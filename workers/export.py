@@ -1,7 +1,7 @@
 """A trained policy as a file for other programs: TorchScript or ONNX, with its normaliser inside.
 
-Raw observations [N, O] in, the most likely actions [N, A] out, as the environment takes them. A
-policy with a time feature also takes the steps since the reset, [N].
+Raw observations [N, O] in, the most likely actions [N, A] out, as the environment takes them (of
+a Discrete space [N, 1]). A policy with a time feature also takes the steps since the reset, [N].
 Each file is loaded again and compared with the trainer's own policy, in NumPy, on observations of
 real episodes, before it gets its name. An ONNX file also says whose policy it is.
 """

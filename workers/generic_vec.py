@@ -61,11 +61,12 @@ class _Watched(gymnasium.Wrapper[Any, Any, Any, Any]):
             self.actions.append(np.array(action))
         try:
             self.obs, reward, terminated, truncated, info = self.env.step(action)
+            facts = float(reward), bool(terminated), bool(truncated)
         except Exception as error:  # an environment may raise anything
             raise self._failed(f"raised {type(error).__name__}: {error}") from error
         self._check()
         told = info if self._infos else {}
-        return self.obs, float(reward), bool(terminated), bool(truncated), told
+        return self.obs, *facts, told
 
     def replay(self, seed: int, actions: Sequence[Any], resets: Sequence[int]) -> None:
         """Go to where these led."""

@@ -5,6 +5,7 @@ from importlib.metadata import version
 
 import numpy as np
 
+from dppo.sources import code_hash
 from dppo.streams import stream
 
 
@@ -17,6 +18,7 @@ def fingerprint() -> str:
 
 
 def versions() -> str:
-    """Versions of the libraries that decide the bits."""
+    """What else decides the bits: our own code, and versions of libraries."""
     names = ("numpy", "mujoco", "gymnasium")
-    return ", ".join(f"{name} {version(name)}" for name in names)
+    libraries = (f"{name} {version(name)}" for name in names)
+    return ", ".join((f"code {code_hash()}", *libraries))

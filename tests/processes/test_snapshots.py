@@ -224,7 +224,8 @@ class Moody(gymnasium.Env):
 
     def step(self, action):  # noqa: ARG002
         self.steps += 1
-        obs, reward = np.array([self.steps, 0.0]), 1.0
+        obs = np.array([self.steps, 0.0])
+        reward: float | None = 1.0
         if self.trouble == "mood":
             Moody.calls += 1
             obs[1] = Moody.calls
@@ -233,6 +234,7 @@ class Moody(gymnasium.Env):
                 raise ValueError("boom")
             obs[1] = np.nan if self.trouble == "obs" else obs[1]
             reward = np.inf if self.trouble == "reward" else reward
+            reward = None if self.trouble == "no reward" else reward
         return obs, reward, False, False, {}
 
 
@@ -263,6 +265,7 @@ def test_only_a_moody_environment_is_reported_as_no_longer_exact(caplog, trouble
     [
         ("obs", r"returned a.* observation \[4.0, nan\] that is not finite"),
         ("reward", "returned a reward that is not finite .reward inf."),
+        ("no reward", "raised TypeError: float"),
         ("raise", "raised ValueError: boom"),
     ],
 )

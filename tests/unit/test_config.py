@@ -51,6 +51,11 @@ REFUSED = [
     (ReturnsConfig, {"gae_lambda": -0.1}, "--gae-lambda is -0.1, expected 0 .. 1"),
     (ReturnsConfig, {"lambda_ret": -0.5}, "--lambda-ret is -0.5, expected 0 .. 1, or -1 for"),
     (ReturnsConfig, {"lambda_ret": 1.1}, "--lambda-ret is 1.1, expected 0 .. 1, or -1 for"),
+    (
+        ReturnsConfig,
+        {"gamma_start": 0.9, "gamma": 1.0},
+        "--gamma is 1.0, expected < 1 where it grows",
+    ),
     (ReturnsConfig, {"gamma_start": -0.5}, "--gamma-start is -0.5, expected 0 .. 1, or -1 for"),
     (SafetyConfig, {"psi": NAN}, "--psi is nan, expected a finite number"),
     (SafetyConfig, {"psi": INF}, "--psi is inf, expected a finite number"),
