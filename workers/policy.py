@@ -72,13 +72,16 @@ class FrozenPolicy:
         """[n, O] what the networks see of raw observations, `steps` [n] after the start.
 
         Raises:
-            ValueError: observations of another size; a single number would fit by broadcasting.
+            ValueError: observations of another size, or not one number of steps for each; a single
+                number would fit by broadcasting.
         """
         if obs.shape[1:] != (self._obs_size,):
             raise ValueError(
                 f"an observation has shape {obs.shape[1:]}, expected ({self._obs_size},), the "
                 "flattened size of the environment that the policy was trained on"
             )
+        if steps.shape != obs.shape[:1]:
+            raise ValueError(f"steps have shape {steps.shape}, expected {obs.shape[:1]}")
         seen = self._normalizer(obs)
         has_clock = self.config.rollout.time_limit == "time-feature"
         return with_clock(seen, steps) if has_clock else seen
@@ -109,7 +112,7 @@ class FrozenPolicy:
             ValueError: an observation of another size.
         """
         noise = None if rng is None else self.distribution.noise(rng, (1,))
-        (action,) = self.actions(obs[None], np.array([step]), noise)
+        (action,) = self.actions(np.asarray(obs)[None], np.array([step]), noise)
         return np.asarray(action)
 
     def outlook(self, obs: Float64, steps: NDArray[np.integer]) -> Outlook:

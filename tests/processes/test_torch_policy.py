@@ -75,6 +75,10 @@ def test_observations_of_another_size_are_refused_by_all(loaded):
             policy.act(np.zeros(shape), 0, None)
     with pytest.raises(ValueError, match=r"has shape \(1,\), expected \(4,\)"):
         policy.actions(np.zeros((3, 1)), np.zeros(3), None)
+    with pytest.raises(ValueError, match=r"steps have shape \(1,\), expected \(3,\)"):
+        policy.outlook(np.zeros((3, 4)), np.zeros(1, int))
+    with pytest.raises(ValueError, match=r"an observation has shape \(3,\), expected \(4,\)"):
+        policy.act([0.0] * 3, 0, None)
 
 
 @pytest.mark.filterwarnings("ignore:`torch.jit")
