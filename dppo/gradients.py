@@ -14,10 +14,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dppo.config import Config
+from dppo.config import Config, SafetyConfig
 from dppo.distributions import Distribution
 from dppo.experience import Experience
-from dppo.losses import kl_weight, policy_objective, softplus, softplus_derivative
+from dppo.losses import kl_weight, policy_objective, sigma_of, softplus_derivative
 from dppo.moments import FloatArray
 from dppo.networks import Networks, row_of_ones
 from dppo.streams import stream
@@ -145,8 +145,9 @@ def block_gradient(
         vectors[:, networks.parts["policy"]] = 0
     fitted = [batch.critics for batch in minibatches if batch.critics is not None]
     if fitted:
-        positive = config.safety.sigma_head == "softplus"
-        losses = _critic_gradients(networks, parameters, experiences, fitted, positive, vectors)
+        losses = _critic_gradients(
+            networks, parameters, experiences, fitted, config.safety, vectors
+        )
         sums[:, _COLUMN["critic_weight"]] = len(fitted[0])
         for name, loss in zip(("value_loss", "variance_loss"), losses, strict=False):
             sums[:, _COLUMN[name]] = loss
@@ -238,12 +239,12 @@ def _critic_gradients(
     parameters: Float32,
     experiences: Sequence[Experience],
     rows: Sequence[Rows],
-    positive: bool,
+    config: SafetyConfig,
     vectors: Float32,
 ) -> FloatArray:
     """∂L/∂parameters of the critics, summed over samples, into `vectors` [S, P]; L [C, S].
 
-    L = (target − prediction)²; σ's prediction is softplus(output) if it has to be positive. The
+    L = (target − prediction)²; σ's prediction is `sigma_of` the output. The
     C critics (V, and σ if there is one) have one shape and see the same rows: one product a layer.
     """
     count = 2 if networks.has_variance else 1
@@ -252,14 +253,12 @@ def _critic_gradients(
     vector = parameters[critics].reshape(count, 1, mlp.size)
     output, inputs = mlp.forward(vector, columns.obs(table))
     raw = output[..., 0]
-    is_softplus = positive and count == 2
     error = np.empty(raw.shape, np.float32)
     np.subtract(raw[0], columns.v_target(table), out=error[0])
     if count == 2:
-        sigma = softplus(raw[1]) if is_softplus else raw[1]
-        np.subtract(sigma, columns.sigma_target(table), out=error[1])
+        np.subtract(sigma_of(raw[1], config), columns.sigma_target(table), out=error[1])
     slope = 2 * error
-    if is_softplus:
+    if count == 2 and config.sigma_head == "softplus":
         slope[1] *= softplus_derivative(raw[1])
     gradient = vectors[:, critics].reshape(len(rows), count, mlp.size).swapaxes(0, 1)
     mlp.backward(vector, inputs, slope[..., None], gradient)

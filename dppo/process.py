@@ -25,12 +25,8 @@ NumPy hands the interpreter back within microseconds when it steps a small envir
 time the thread that waits starts to wait anew: with Python's 5 ms it never ran, no sign of life
 was sent and no end of a parent was seen. It costs nothing while no other thread has work.
 """
-
-
 _TIDY_SECONDS = 10.0
 """A command that has been told to end has so long before a further signal ends it at once."""
-
-
 _LINE_SECONDS = 1.0
 """Longest wait for somebody to take a line."""
 _AGAIN_SECONDS = 0.05

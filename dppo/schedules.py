@@ -1,4 +1,4 @@
-"""What moves over a run: β, ψ and the step sizes. Pure functions of the run's own figures."""
+"""What moves over a run: β, γ, ψ and the step sizes. Pure functions of the run's own figures."""
 
 import math
 from dataclasses import replace

@@ -49,7 +49,9 @@ class Episodes:
         self.vec: Vec = training_vec(config.run, len(rows), remember=exact)
         self.adapter = Adapter(self.vec.single_observation_space, self.vec.single_action_space)
         self._rows, self._exact = tuple(rows), exact
-        self._seed, self.gamma = config.run.seed, config.returns.gamma
+        self._seed = config.run.seed
+        self.gamma = config.returns.gamma
+        """Of the present iteration."""
         self._moved = np.zeros(len(rows), np.bool_)
         self.obs: Float64 = np.zeros((len(rows), self.adapter.obs_size))
         """[n, O] s_t, raw."""

@@ -75,6 +75,7 @@ class Member:
     ) -> None:
         self._name, self._link, self._patience = name, link, patience
         self._core = core or Core()
+        self._numerics, self._versions = fingerprint(), versions()
         self._worker: Worker | None = None
         self._served: dict[str, int] = {}
         """Of each run, the highest generation that this process has served."""
@@ -130,8 +131,8 @@ class Member:
             worker=self._name,
             host=socket.gethostname(),
             pid=os.getpid(),
-            numerics=fingerprint(),
-            versions=versions(),
+            numerics=self._numerics,
+            versions=self._versions,
             served_run=self._run,
             served_generation=self._served.get(self._run, 0),
         )

@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from dppo.experiment.numbers import ends
+from dppo.experiment.numbers import both_ends, ends
 from dppo.experiment.paper import Reported, reported
 from dppo.experiment.verdicts import Summary
 
@@ -89,3 +89,8 @@ def named(envs: list[str]) -> str:
 def times(value: float | None, interval: Any) -> str:  # noqa: ANN401  JSON
     """A ratio and its interval, behind a comma; empty: there is none."""
     return "" if value is None else f", {value:.2f} times{ends(interval, 2)}"
+
+
+def times_together(one: Summary) -> str:
+    """A ratio over environments and its intervals, behind a comma."""
+    return f", {one['ratio']:.2f} times{both_ends(one)}"

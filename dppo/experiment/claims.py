@@ -10,7 +10,14 @@ from dppo.experiment.claims_discussed import discussed
 from dppo.experiment.claims_over_all import in_all, outperforms, reduces
 from dppo.experiment.numbers import ends
 from dppo.experiment.significance import equal_spreads_of, welch_of
-from dppo.experiment.verdicts import Summary, of_interval, of_mean, of_spread, of_spread_within
+from dppo.experiment.verdicts import (
+    Summary,
+    of_falls,
+    of_interval,
+    of_mean,
+    of_spread,
+    of_spread_within,
+)
 
 _EARLY = 1.5
 """A run has to be so many times as long as the first mark for that to be early."""
@@ -100,12 +107,11 @@ def _of_life(row: Row) -> Iterator[Claim]:
     if not any(falls):
         yield claim, f"no episode ends before {lengths[0]:.0f} steps", "Not judged: nobody falls."
         return
-    fewer = of_interval(found["terminated"]["interval"], min(found["seeds"]))
     yield (
         claim,
         f"episodes of {lengths[0]:.0f} steps against {lengths[1]:.0f}, difference "
         f"{found['length']['difference']:+.0f}{ends(found['length']['interval'], 0)}; falls "
-        f"{falls[0]:.0%} against {falls[1]:.0%} of the episodes ({fewer})",
+        f"{falls[0]:.0%} against {falls[1]:.0%} of the episodes ({of_falls(found)})",
         judged(of_interval(found["length"]["interval"], min(found["seeds"])), "higher"),
     )
 

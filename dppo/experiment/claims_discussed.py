@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from dppo.experiment.calibrated import OPEN, OUTSIDE, WITHIN
-from dppo.experiment.claim_rows import Claim, Row, judged, times
-from dppo.experiment.numbers import both_ends
+from dppo.experiment.claim_rows import Claim, Row, judged, times, times_together
 from dppo.experiment.significance import SIGNIFICANT, Ratio, ratio_over
 from dppo.experiment.together import FEWEST, WITHIN_POLICIES, measures
 from dppo.experiment.verdicts import Summary, of_ratio
@@ -37,7 +36,7 @@ def _of_trade(found: list[Row]) -> Iterator[Claim]:
                 "Constraining the variance leads to a trade-off between the mean and the variance "
                 f"of returns (discussion): {kind} ones",
                 "of final policies from free starts, over all environments together: standard "
-                f"deviation{_times(spread)}; mean{_times(mean)}",
+                f"deviation{times_together(spread)}; mean{times_together(mean)}",
                 _traded(of_ratio(spread), of_ratio(mean)),
             )
 
@@ -155,7 +154,3 @@ def _of_sigma(found: list[Row], part: str, where: str) -> Iterator[Claim]:
         f"with ψ 0 or the paper's: {within} within 25 %, {outside} outside, {still_open} open",
         judgement,
     )
-
-
-def _times(one: Summary) -> str:
-    return f", {one['ratio']:.2f} times{both_ends(one)}"

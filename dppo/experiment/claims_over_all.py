@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from dppo.experiment.claim_rows import Claim, Row, cost, judged, named, times
+from dppo.experiment.claim_rows import Claim, Row, cost, judged, named, times_together
 from dppo.experiment.paper import TABLE_2
 from dppo.experiment.together import measures
 from dppo.experiment.verdicts import Summary, of_mean, of_ratio, of_spread
@@ -51,7 +51,7 @@ def reduces(found: list[Row]) -> Claim:
         "(abstract); from its own numbers it is significant in none",
         f"spread across seeds lower in {len(lower)} of {len(found)}{named(lower)}, higher in "
         f"{len(higher)}{named(higher)}; all of them together"
-        + (times(ratio["ratio"], ratio["interval"]) if ratio else ": no ratio"),
+        + (times_together(ratio) if ratio else ": no ratio"),
         judgement,
     )
 

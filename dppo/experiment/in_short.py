@@ -8,7 +8,14 @@ from dppo.experiment.page import Table
 from dppo.experiment.results import Results
 from dppo.experiment.tables import arms_of
 from dppo.experiment.together import WITHIN_POLICIES
-from dppo.experiment.verdicts import of_goal, of_interval, of_mean, of_spread, of_spread_within
+from dppo.experiment.verdicts import (
+    of_falls,
+    of_goal,
+    of_interval,
+    of_mean,
+    of_spread,
+    of_spread_within,
+)
 
 Comparisons = Mapping[str, Mapping[str, Any]]
 
@@ -46,7 +53,7 @@ def _measures(compared: Comparisons) -> Iterator[tuple[str, dict[str, str], str]
     for kind, within in WITHIN_POLICIES.items():
         yield from _of_policies(compared, kind, within)
     falls = {
-        env: of_interval(free["terminated"]["interval"], min(free["seeds"]))
+        env: of_falls(free)
         for env, one in compared.items()
         if (free := one.get("free", {})).get("terminated") and _differ(free["terminated"])
     }

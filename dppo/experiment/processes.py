@@ -66,6 +66,8 @@ def check_environments(runs: Iterable[Run]) -> None:
         UsageError: one cannot be made; says why.
     """
     wanted = {(run.env, run.config.run.env_kwargs) for run in runs}
+    if not wanted:
+        return
     done = subprocess.run(
         own_program("workers.environments", json.dumps(sorted(wanted))),
         stdin=subprocess.DEVNULL,

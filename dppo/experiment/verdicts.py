@@ -81,6 +81,11 @@ def of_spread_within(found: Summary, seeds: int) -> str:
     return of_interval(found["std"]["interval"], seeds)
 
 
+def of_falls(policies: Summary) -> str:
+    """Share of episodes that ended in falls, of final policies from one kind of start."""
+    return of_interval(policies["terminated"]["interval"], min(policies["seeds"]))
+
+
 def of_goal(comparison: Summary, start: str, kind: str) -> str:
     """Is the spread within a policy 30 % lower, for at most 5 % of the mean?"""
     found = comparison[start][kind]
