@@ -9,7 +9,7 @@ from dppo.leases import Leases
 from dppo.pace import Pace
 from dppo.watch import Watch
 from dppo.wire.links import LearnerLink
-from dppo.wire.messages import Hello, Ready, Stop, Task, Welcome
+from dppo.wire.messages import VERSION, Hello, Ready, Stop, Task, Welcome
 from learner.fencing import check_served
 from learner.questions import Questions
 from learner.roster import Roster
@@ -115,6 +115,9 @@ class Members:
         Raises:
             SupersededError: it has served a later learner of this run.
         """
+        if hello.protocol != VERSION:
+            self._turn_away(hello)
+            return
         check_served(hello, self._welcome)
         self._told.pop(hello.worker, None)
         if hello.worker in self._leases.workers:
@@ -124,6 +127,15 @@ class Members:
             self.bench(hello.worker)
             return
         self._link.send(hello.worker, self._welcome)
+
+    def _turn_away(self, hello: Hello) -> None:
+        """It understands a Stop, and nothing else that we could say."""
+        reason = (
+            f"worker {hello.worker} ({hello.host}, pid {hello.pid}) speaks protocol version "
+            f"{hello.protocol}, the learner speaks {VERSION}; install the same dppo on both"
+        )
+        log.warning("%s; it is sent away", reason)
+        self._link.send(hello.worker, Stop(reason=reason, final=True, sent_away=True))
 
     def admit(self, ready: Ready) -> None:
         """A worker has built the environment: it takes over what nobody holds."""
@@ -175,7 +187,7 @@ class Members:
     def expel(self, worker: str, reason: str) -> None:
         """Send a worker away for good."""
         log.warning("%s; it is sent away", reason)
-        self._link.send(worker, Stop(reason=reason, final=True))
+        self._link.send(worker, Stop(reason=reason, final=True, sent_away=True))
         self.lose(worker, "it was sent away")
 
     def refuse_setup(self, worker: str, reason: str) -> None:

@@ -13,7 +13,8 @@ class WorkerArgs:
 
     It needs nothing but the address: environment, settings and slots come from the learner. It may
     be started before the learner, and it waits for the next one when the learner dies. --version
-    says which code this is: it ought to be the learner's.
+    says which code this is: it ought to be the learner's. Exit code 0: the run is over; 1: the
+    learner has sent it away, and says why; 2: wrong usage, or nobody answered.
     """
 
     connect: str
@@ -100,7 +101,7 @@ def _work(arguments: list[str]) -> int:
         raise UsageError(str(error)) from error
     print(f"worker {name}: {stop.reason}", file=sys.stderr)
     link.close()
-    return 0
+    return int(stop.sent_away)
 
 
 def _unique_name(wanted: str) -> str:

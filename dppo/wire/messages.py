@@ -25,13 +25,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+VERSION = 5
+"""Another one for every change of messages or snapshots: a mixed cluster is told so at once."""
+
 Float32 = NDArray[np.float32]
 Float64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hello:
-    """A worker asks to join.
+    """A worker asks to join. Of any version, so its form stays as it is for ever, like `Stop`'s.
 
     Example:
         Hello(worker="w-3f2a", host="lab1", pid=7, numerics="9c1e", versions="mujoco 4.0.0",
@@ -50,6 +53,8 @@ class Hello:
     """Run that the worker has served last; empty: none."""
     served_generation: int = 0
     """Highest generation of that run that it has served: a lower one is of the past."""
+    protocol: int = VERSION
+    """Version of the messages that it understands."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -257,7 +262,7 @@ class Measure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Stop:
-    """The run is over for this worker.
+    """The run is over for this worker. Understood by any version: its form stays as it is.
 
     Example:
         Stop(reason="finished", final=True)
@@ -266,6 +271,8 @@ class Stop:
     reason: str
     final: bool
     """False: the learner pauses; a worker with its own address waits for the next one."""
+    sent_away: bool = False
+    """The run goes on without it; it ends with exit code 1."""
 
 
 Answer = Collected | Gradient | Measured

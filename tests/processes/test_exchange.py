@@ -7,6 +7,7 @@ import pytest
 
 from dppo.errors import UsageError
 from dppo.pace import Pace
+from dppo.wire.messages import VERSION
 from tests.story import (
     ALL,
     CATCHING_UP,
@@ -68,6 +69,19 @@ def test_a_worker_that_is_not_ready_or_has_no_proper_name_gets_no_task():
     story.collect()
     assert (unready.heard(), unnamed.heard()) == (["Welcome"], [])
     assert story.exchange.num_workers == 1
+
+
+def test_a_worker_of_another_protocol_version_is_told_so_and_sent_away():
+    story = Story("w1")
+    other = Player("w2", story.hub)
+    other.say(HELLO, protocol=99)
+    story.players[0].collected(*ALL)
+    story.collect()
+    assert other.heard() == ["Stop"]
+    assert (other.last.final, other.last.sent_away) == (True, True)
+    assert f"speaks protocol version 99, the learner speaks {VERSION}" in other.last.reason
+    assert other.last.reason.endswith("install the same dppo on both")
+    assert list(story.exchange.roster) == ["w1"]
 
 
 def test_the_heir_of_a_lost_worker_catches_up_once_and_joins_at_the_present_question():
@@ -271,4 +285,5 @@ def test_workers_that_differ_or_cannot_build_the_environment_later_on_are_sent_a
     for player, why in ((other, "another environment than w1"), (poor, "mujoco is missing")):
         assert player.heard() == ["Welcome", "Stop"]
         assert player.last.final
+        assert player.last.sent_away
         assert why in player.last.reason

@@ -194,6 +194,7 @@ def test_a_worker_that_is_refused_three_times_is_benched():
     story.ask(replace(UPDATE, iteration=5, round=2))
     assert liar.heard() == ["Stop"]
     assert liar.last.final
+    assert liar.last.sent_away
     assert "again and again" in liar.last.reason
 
 

@@ -12,9 +12,11 @@ import msgpack
 import pytest
 import zenoh
 
-from dppo.wire.codec import VERSION, Frame, decode, encode, sealed
-from dppo.wire.messages import Alive, Collected, Gradient, Hello, Measured
-from dppo.wire.zenoh_links import BASE, open_connecting
+from dppo.wire import codec
+from dppo.wire.codec import Frame, decode, encode, sealed
+from dppo.wire.links import WorkerLost
+from dppo.wire.messages import VERSION, Alive, Collected, Gradient, Hello, Measured, Stop
+from dppo.wire.zenoh_links import BASE, ZenohLearnerLink, open_connecting
 from learner.local import free_address
 from tests.support import SMALL, iterations, result, wait_until
 
@@ -170,6 +172,39 @@ def test_a_worker_that_lies_is_benched_and_its_lies_reach_no_parameter(harness, 
     assert ") was refused again and again; it is sent away" in learner.text
     assert "was refused again and again" in liar.text.splitlines()[-1]
     assert result(run_dir)["parameters_sha256"] == undisturbed
+
+
+def test_a_worker_is_told_by_a_learner_of_another_version_and_ends_with_exit_code_1(
+    harness, monkeypatch
+):
+    address = free_address()
+    worker, link = harness.worker(address), ZenohLearnerLink(address)
+    monkeypatch.setattr(codec, "VERSION", VERSION + 1)  # of what this learner says
+    while not isinstance(hello := link.receive(60.0), Hello):
+        assert hello is None or isinstance(hello, WorkerLost), hello
+    link.send(hello.worker, Stop(reason="install the same dppo", final=True, sent_away=True))
+    assert worker.wait() == 1, worker.text
+    assert worker.text.splitlines()[-1].endswith("install the same dppo")
+    link.close()
+
+
+def test_a_learner_tells_a_worker_of_another_version_and_goes_on(harness, undisturbed):
+    case, said = Case(harness), list[zenoh.Sample]()
+    values = ["old-1", "lab1", 7, "9c1e", "", "", 0, VERSION - 1]
+    with case.stranger() as stranger:
+        ear = stranger.session.declare_subscriber(f"{BASE}/p/old-1", said.append)
+
+        def answered():
+            stranger.put("g/old-1", msgpack.packb([VERSION - 1, "Hello", values]))
+            return bool(said)
+
+        wait_until(answered, "a Stop")
+        ear.undeclare()
+    case.costs_no_bits(undisturbed)
+    assert said[0].attachment is not None
+    assert b"Stop" in said[0].attachment.to_bytes()
+    sentence = f"worker old-1 (lab1, pid 7) speaks protocol version {VERSION - 1}, the learner"
+    assert sentence in case.learner.text
 
 
 def test_the_stranger_of_these_tests_can_be_heard(harness):

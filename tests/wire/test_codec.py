@@ -14,17 +14,8 @@ from hypothesis import strategies as st
 from dppo.errors import WireError
 from dppo.store.contents import SNAPSHOT_FORM
 from dppo.wire import messages
-from dppo.wire.codec import (
-    MAX_BODY,
-    MAX_HEADER,
-    VERSION,
-    Frame,
-    decode,
-    encode,
-    sealed,
-    unsealed,
-)
-from dppo.wire.messages import Message
+from dppo.wire.codec import MAX_BODY, MAX_HEADER, Frame, decode, encode, sealed, unsealed
+from dppo.wire.messages import VERSION, Message
 
 PLACE = {"generation": 1, "iteration": 4, "round": 2}
 WIDE = np.array([0.5, -0.0, math.inf, math.nan, 5e-324])
@@ -142,13 +133,28 @@ def test_a_version_means_one_form_of_every_message():
     frames = [encode(message) for message in EXAMPLES]
     travelled = zlib.crc32(b"".join(frame.header + frame.body for frame in frames))
     spoken = VERSION, SNAPSHOT_FORM, travelled
-    assert spoken == (4, 3, 1996858954), "another protocol needs another VERSION"
+    assert spoken == (5, 3, 2435672134), "another protocol needs another VERSION"
 
 
 @pytest.mark.parametrize("version", [0, 1, VERSION + 1, -1, 2**63])
 def test_another_version_is_refused_with_advice(version):
     sentence = f"protocol version {version}, this process speaks {VERSION}; install the same dppo"
-    refused(framed("Stop", ["x", True], version=version), sentence)
+    refused(framed("Alive", ["w", 1, 48211], version=version), sentence)
+    for values in ([], ["x", True], ["x", True, False, 7]):
+        refused(framed("Stop", values, version=version), sentence)
+
+
+@pytest.mark.parametrize("version", [0, 1, VERSION + 1])
+def test_hello_and_stop_of_any_version_are_understood(version):
+    """What is written here stays as it is, whatever becomes of the other messages."""
+    said = framed("Hello", ["w-3f", "lab1", 7, "9c1e", "mujoco 4", "5b7d", 2, 9], version=version)
+    assert decode(said) == messages.Hello(
+        worker="w-3f", host="lab1", pid=7, numerics="9c1e", versions="mujoco 4",
+        served_run="5b7d", served_generation=2, protocol=9,
+    )  # fmt: skip
+    assert decode(framed("Stop", ["no", True, True], version=version)) == messages.Stop(
+        reason="no", final=True, sent_away=True
+    )
 
 
 @pytest.mark.parametrize("name", ["", "Quit", "stop", "Message", "__class__", "Stop" * 30])
@@ -156,17 +162,17 @@ def test_an_unknown_message_is_refused_by_name(name):
     refused(framed(name, ["x", True]), f"'{name[:40]}' is no message of this protocol")
 
 
-@pytest.mark.parametrize("values", [[], ["x"], ["x", True, 1]])
+@pytest.mark.parametrize("values", [[], ["x"], ["x", True, True, 1]])
 def test_a_missing_or_extra_field_is_refused(values):
-    refused(framed("Stop", values), f"Stop has {len(values)} fields, expected 2")
+    refused(framed("Stop", values), f"Stop has {len(values)} fields, expected 3")
 
 
 @pytest.mark.parametrize(
     ("name", "values", "sentence"),
     [
-        ("Stop", [3, True], "Stop.reason is a int, expected str"),
-        ("Stop", ["x", 1], "Stop.final is a int, expected bool"),
-        ("Stop", ["x", None], "Stop.final is a NoneType, expected bool"),
+        ("Stop", [3, True, False], "Stop.reason is a int, expected str"),
+        ("Stop", ["x", 1, False], "Stop.final is a int, expected bool"),
+        ("Stop", ["x", None, False], "Stop.final is a NoneType, expected bool"),
         (
             "Collect",
             [1, 4, 2, [0], 1, 1.0, 2.5, 0, 0, 0, 0],
@@ -215,7 +221,7 @@ def test_a_body_of_another_size_is_refused():
     "value", [msgpack.ExtType(1, b"x"), msgpack.Timestamp(0), {}, {1: 2}, b"x"]
 )
 def test_ext_types_maps_and_binaries_have_no_place_in_a_header(value):
-    refused(framed("Stop", [value, True]), "a header is not msgpack|Stop.reason is a dict")
+    refused(framed("Stop", [value, True, False]), "a header is not msgpack|Stop.reason is a dict")
 
 
 @pytest.mark.parametrize(
