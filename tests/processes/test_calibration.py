@@ -162,6 +162,7 @@ def test_the_outlook_of_a_state_is_v_and_the_root_of_sigma_in_raw_reward():
     assert not negative.std.any()
 
 
+@pytest.mark.slow
 def test_the_outlook_of_a_trained_run_is_what_the_calibration_takes_as_predicted(runs):
     """With σ's default head, and a run without σ."""
     run = runs("InvertedPendulum-v5", "--seed", "4")
@@ -184,6 +185,7 @@ def test_the_outlook_of_a_trained_run_is_what_the_calibration_takes_as_predicted
     )
 
 
+@pytest.mark.slow
 def test_a_sigma_that_is_four_times_too_large_shows_as_a_ratio_of_two():
     _, right = calibrated(checkpoint())
     _, wrong = calibrated(checkpoint(sigma_factor=4.0))
@@ -192,6 +194,7 @@ def test_a_sigma_that_is_four_times_too_large_shows_as_a_ratio_of_two():
     assert wrong.along_squares_ratio == pytest.approx(2, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_an_error_of_v_shows_along_the_trajectories_and_in_its_own_column():
     """Full return: a V that is 5 too high everywhere leaves the spread from s_0 as it is."""
     _, right = calibrated(checkpoint())

@@ -175,6 +175,7 @@ def test_a_child_that_dies_is_a_sentence_and_takes_the_others_along(source, sent
         assert not any(map(is_alive, ours))
 
 
+@pytest.mark.slow
 def test_no_process_of_the_bench_steps_before_all_are_ready():
     task = {"env_id": "CartPole-v1", "rows": 1, "seconds": 0.01}
     with children("workers.bench_process", [task] * 2) as started:

@@ -21,6 +21,7 @@ def run_dir(runs):
     return runs("Hopper-v5")
 
 
+@pytest.mark.slow
 def test_a_checkpoint_is_read_without_this_package_as_the_page_on_embedding_says(run_dir):
     """JSON, safetensors and NumPy: the same actions up to the order of sums."""
     checkpoint = newest_checkpoint(run_dir)
@@ -100,6 +101,7 @@ def test_the_environments_own_noise_differs_from_one_start(runs):
     assert len({trajectory.obs.tobytes() for trajectory in kept}) == 3
 
 
+@pytest.mark.slow
 def test_a_failing_environment_ends_the_evaluation_with_its_reset_seed(runs):
     run = runs("tests.odd_envs:Walk-v0")
     config = json.loads((run / "config.json").read_text())
@@ -148,6 +150,7 @@ def test_an_episode_that_ends_in_the_step_it_would_be_cut_in_has_ended(runs):
     assert [(one.length, one.terminated) for one in found.episodes] == [(16, True)] * 2
 
 
+@pytest.mark.slow
 def test_dppo_eval_cuts_episodes_that_never_end(harness, runs):
     words = ("dppo", "eval", str(runs("tests.odd_envs:Endless-v0")), "--max-steps", "30")
     process = harness.start(*words, "--episodes", "3", "--json")
@@ -161,6 +164,7 @@ def test_dppo_eval_cuts_episodes_that_never_end(harness, runs):
     assert "gamma 0.99, episodes cut after 30 steps\n" in people.text
 
 
+@pytest.mark.slow
 def test_a_sigma_up_to_the_time_limit_is_not_compared_with_returns_that_are_cut(harness, runs):
     run = runs("InvertedPendulum-v5", "--time-limit", "time-feature")
     words = ("dppo", "eval", str(run), "--calibration", "--episodes", "2", "--max-steps")
@@ -226,6 +230,7 @@ def test_dppo_eval_prints_a_line_per_figure_for_people(harness, run_dir):
     assert mean.startswith("  return_mean")
 
 
+@pytest.mark.slow
 def test_a_single_episode_has_no_spread_and_no_interval(harness, run_dir):
     words = ("eval", str(run_dir), "--episodes", "1", "--fixed-start")
     process = harness.start("dppo", *words)

@@ -14,6 +14,7 @@ def run_dir(runs):
     return runs("Hopper-v5")
 
 
+@pytest.mark.slow
 def test_a_policy_can_be_played_elsewhere(run_dir):
     play_in = partial(evaluate, episodes=3, deterministic=True, seed=3)
     checkpoint = newest_checkpoint(run_dir)
@@ -30,6 +31,7 @@ def test_a_policy_can_be_played_elsewhere(run_dir):
         )
 
 
+@pytest.mark.slow
 def test_dppo_eval_plays_elsewhere(harness, run_dir):
     env, kwargs = "HopperActionNoise-v5", '{"noise_std": 0.5}'
     words = ("--which", "newest", "--episodes", "2", "--env", env, "--env-kwargs", kwargs)
@@ -45,6 +47,7 @@ def test_dppo_eval_plays_elsewhere(harness, run_dir):
     assert told.text.startswith(f"{env} {kwargs} (trained on Hopper-v5), iteration-")
 
 
+@pytest.mark.slow
 def test_the_runs_own_environment_keeps_its_keyword_arguments(runs):
     kwargs = '{"reset_noise_scale": 0.02}'
     checkpoint = newest_checkpoint(runs("InvertedPendulum-v5", "--env-kwargs", kwargs))

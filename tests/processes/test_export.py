@@ -155,6 +155,7 @@ def test_without_the_right_packages_onnx_is_refused_with_advice(
     assert not list(harness.folder.glob("*a.onnx*"))
 
 
+@pytest.mark.slow
 def test_a_policy_whose_episodes_never_end_is_verified_all_the_same(harness, runs):
     file = harness.folder / "policy.pt"
     words = ("dppo", "export", str(runs("tests.odd_envs:Endless-v0")), "--torchscript", str(file))

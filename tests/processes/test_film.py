@@ -132,6 +132,7 @@ def test_a_screen_that_cannot_be_used_is_one_sentence_and_code_2(harness, runs):
     assert len(process.text.splitlines()) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quiet_libraries")
 def test_a_package_that_draws_and_is_missing_is_named(runs, monkeypatch):
     monkeypatch.setitem(sys.modules, "pygame", None)
@@ -171,6 +172,7 @@ def test_an_environment_that_raises_leaves_the_earlier_film(runs, tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_sigterm_leaves_the_earlier_film(harness, runs):
     stepped = harness.folder / "stepped"
     kwargs = json.dumps({"once": str(stepped)})  # the first step makes this file
@@ -189,6 +191,7 @@ def test_sigterm_leaves_the_earlier_film(harness, runs):
     ]
 
 
+@pytest.mark.slow
 def test_a_film_of_an_episode_that_never_ends_is_cut(harness, runs):
     limit = ("--env-kwargs", "{}")  # without the time limit of the other runs
     run_dir = runs("tests.odd_envs:Endless-v0", *limit)

@@ -48,6 +48,7 @@ def test_continuous_samples_are_means_with_the_policys_noise_clipped_to_the_spac
     np.testing.assert_allclose(clipped, np.clip(actions.numpy(), -0.05, 0.05), atol=1e-7)
 
 
+@pytest.mark.slow
 def test_discrete_actions_are_numbers_that_the_environment_takes(loaded):
     policy, space, load = loaded("tests.odd_envs:Choices-v0")  # 3 from 1 on, and 2 from -1 on
     module = load(space)
@@ -81,6 +82,7 @@ def test_observations_of_another_size_are_refused_by_all(loaded):
         policy.act([0.0] * 3, 0, None)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:`torch.jit")
 def test_a_script_of_it_needs_no_gradients_and_refuses_too(loaded):
     _, space, load = loaded("InvertedPendulum-v5")
@@ -90,6 +92,7 @@ def test_a_script_of_it_needs_no_gradients_and_refuses_too(loaded):
         script(torch.zeros(3, 1))
 
 
+@pytest.mark.slow
 def test_a_time_feature_needs_the_steps(loaded):
     _, space, load = loaded("InvertedPendulum-v5", "--time-limit", "time-feature")
     module = load(space)

@@ -31,6 +31,7 @@ def kept(whole, tmp_path_factory):
     return Folder(out)
 
 
+@pytest.mark.slow
 def test_it_gives_the_same_report_to_the_bit(whole, kept):
     folder, _, _ = whole
     report_of(folder)

@@ -89,6 +89,7 @@ def test_a_partial_grid_says_so_and_a_seed_alone_shows_nothing(tmp_path):
     assert "Does σ know" not in page
 
 
+@pytest.mark.slow
 def test_a_grid_of_which_only_failed_runs_are_missing_is_over(tmp_path):
     folder, grid = planned(tmp_path, seeds=3)
     for run in grid.runs[1:]:
@@ -183,6 +184,7 @@ def test_no_interval_is_given_in_units_that_may_be_zero(tmp_path):
     assert (found["seeds"], found["iqm_interval"]) == (3, None)
 
 
+@pytest.mark.slow
 def test_a_claim_about_all_environments_takes_all_of_them(tmp_path):
     folder, grid = planned(tmp_path, envs=ENVIRONMENTS, seeds=3, evaluate=0)
     for run in grid.runs:

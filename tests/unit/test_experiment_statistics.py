@@ -112,6 +112,7 @@ def test_a_ratio_is_of_geometric_means_with_welchs_interval_of_the_logarithms():
     assert ratio(FIVE, OTHERS) is None  # -50 has no logarithm
 
 
+@pytest.mark.slow
 def test_equal_policies_are_told_apart_in_one_of_twenty_cases():
     """What resampled seeds do in one of eight with five seeds."""
     rng = np.random.default_rng(6)

@@ -120,6 +120,7 @@ def test_the_spread_of_policies_without_any_is_judged_by_the_difference():
     assert sentence == "spread lower; mean no difference that 5 seeds can show"
 
 
+@pytest.mark.slow
 def test_a_claim_whose_numbers_one_arm_lacks_is_left_out(tmp_path):
     folder, grid = planned(tmp_path, envs=("Ant-v4",))
     for run in grid.runs:
