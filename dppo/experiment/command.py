@@ -178,7 +178,7 @@ def _experiment(grid: Grid, args: GridArgs, name: str) -> int:
     for run_name, reason in failed.items():
         print(f"failed: {run_name}: {reason}", file=sys.stderr)
     if not is_over:
-        print(f"stopped; {work.schedule.done} of {len(grid.runs)} runs are finished", flush=True)
+        print(f"stopped; {work.schedule.done} of {len(every.runs)} runs are finished", flush=True)
         return 0
     if work.report_problem:
         print(f"error: the report cannot be written: {work.report_problem}", file=sys.stderr)

@@ -222,14 +222,16 @@ def test_learners_that_do_not_end_are_killed_in_time(harness):
     wait_until(lambda: not any(map(is_alive, [*learners, *workers])), "everything to end")
 
 
-def test_a_second_experiment_in_the_same_folder_is_refused(harness):
-    process, folder = grid(harness, iterations=5000)
-    wait_until(lambda: logged(folder, NAMES[0]) > 0, "the first to be at it")
+def test_a_second_experiment_in_the_same_folder_is_refused(harness, unkilled):
+    shutil.copytree(unkilled, harness.folder / "grid")
+    process, folder = grid(harness, "--envs", "Reacher-v5", iterations=5000)
+    wait_until(lambda: logged(folder, "Reacher-v5__psi0__s1") > 0, "the first to be at it")
     second, _ = grid(harness, iterations=5000)
     refuses(second, "another experiment is at work in --out")
     assert process.popen.poll() is None
     process.send(signal.SIGTERM)
     assert process.wait() == 0, process.text
+    assert "stopped; 4 of 8 runs are finished" in process.text  # earlier ones count on both sides
 
 
 def test_a_grid_file_runs(harness):
