@@ -12,7 +12,7 @@ from dppo.wire.links import LearnerLink
 from dppo.wire.messages import VERSION, Hello, Ready, Stop, Task, Welcome
 from learner.fencing import check_served
 from learner.questions import Questions
-from learner.roster import Roster
+from learner.roster import Roster, introduced
 
 log = logging.getLogger("learner")
 _LOOK_SECONDS = 0.25
@@ -115,8 +115,12 @@ class Members:
         Raises:
             SupersededError: it has served a later learner of this run.
         """
-        if hello.protocol != VERSION:
-            self._turn_away(hello)
+        if hello.protocol != VERSION:  # it understands a Stop, and nothing else of ours
+            self.expel(
+                hello.worker,
+                f"{introduced(hello)} speaks protocol version {hello.protocol}, the learner "
+                f"speaks {VERSION}; install the same dppo on both",
+            )
             return
         check_served(hello, self._welcome)
         self._told.pop(hello.worker, None)
@@ -127,15 +131,6 @@ class Members:
             self.bench(hello.worker)
             return
         self._link.send(hello.worker, self._welcome)
-
-    def _turn_away(self, hello: Hello) -> None:
-        """It understands a Stop, and nothing else that we could say."""
-        reason = (
-            f"worker {hello.worker} ({hello.host}, pid {hello.pid}) speaks protocol version "
-            f"{hello.protocol}, the learner speaks {VERSION}; install the same dppo on both"
-        )
-        log.warning("%s; it is sent away", reason)
-        self._link.send(hello.worker, Stop(reason=reason, final=True, sent_away=True))
 
     def admit(self, ready: Ready) -> None:
         """A worker has built the environment: it takes over what nobody holds."""

@@ -73,15 +73,20 @@ class Roster:
         self._hellos.pop(worker, None)
 
     def describe(self, worker: str) -> str:
-        """A worker in words: name, host, process."""
+        """A worker in words; of one that has not said Hello only its name is known."""
         hello = self._hellos.get(worker)
-        return f"worker {worker}" + (f" ({hello.host}, pid {hello.pid})" if hello else "")
+        return introduced(hello) if hello else f"worker {worker}"
 
     def __contains__(self, worker: str) -> bool:
         return worker in self._hellos
 
     def __iter__(self) -> Iterator[str]:
         return iter(tuple(self._hellos))
+
+
+def introduced(hello: Hello) -> str:
+    """A worker in words: name, host, process."""
+    return f"worker {hello.worker} ({hello.host}, pid {hello.pid})"
 
 
 def _in_words(ready: Ready) -> str:
