@@ -11,10 +11,10 @@ check: ## lint, format, types, imports; runs nothing
 	$(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && $(BIN)/mypy examples && $(BIN)/lint-imports
 
 fast: ## the tests without those marked slow or docker
-	$(BIN)/python -m pytest -m "not slow and not docker"
+	$(BIN)/python -m pytest -n 2 -m "not slow and not docker"
 
 test: ## all tests except docker
-	$(BIN)/python -m pytest -m "not docker"
+	$(BIN)/python -m pytest -n 2 -m "not docker"
 
 all: ## what CI runs; makes .venv anew
 	bash .ci/run

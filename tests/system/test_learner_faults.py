@@ -83,15 +83,21 @@ def test_workers_that_a_killed_learner_could_not_tell_hear_the_end_from_the_next
 def test_a_run_that_is_not_exact_says_so_after_a_restart_too(harness):
     """A move of an environment that is not made exactly, then a pause."""
     run_dir, address = harness.folder / "run", free_address()
-    steps = ("--env", "Hopper-v5", *SMALL, "--total-timesteps", str(40 * 8 * 64))
-    run = (*steps, "--no-exact-envs", "--listen", address, "--local-workers", "1")
-    learner = harness.learner(*run, "--stop-at", str(20 * 8 * 64), run_dir=run_dir)
+    run = ("--env", "Hopper-v5", *SMALL, "--no-exact-envs", "--total-timesteps", str(10**6))
+    here = ("--listen", address, "--local-workers", "1", "--verbose")
+    learner = harness.learner(*run, *here, run_dir=run_dir)
     wait_until(lambda: iterations(run_dir) >= 2, "the first iterations")
     harness.worker(address)
+    wait_until(lambda: "joined, 2 in the run" in learner.text, "another worker to join")
+    last = iterations(run_dir)
+    wait_until(lambda: iterations(run_dir) >= last + 3, "it to have slots")
+    learner.send(signal.SIGTERM)
     assert learner.wait() == 0, learner.text
     before = result(run_dir)
     assert not before["exact"], "no slot was moved"
-    after = harness.train(*steps, "--no-exact-envs", "--local-workers", "8", run_dir=run_dir)
+    until = str(before["env_steps"] + 2 * 8 * 64)
+    after = harness.train(*run, "--local-workers", "8", "--stop-at", until, run_dir=run_dir)
+    assert after["env_steps"] > before["env_steps"]
     assert not after["exact"]
 
 
