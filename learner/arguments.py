@@ -1,11 +1,11 @@
 """The command line before it is parsed: other tools' habits, presets, files, addresses."""
 
-import ipaddress
 from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from dppo.config import Config
 from dppo.errors import UsageError
+from dppo.wire.addresses import check_address, is_loopback
 
 
 def normalised(
@@ -74,26 +74,16 @@ def listening_address(listen: str, insecure: bool) -> str:
     """The Zenoh address to listen on.
 
     Raises:
-        UsageError: beyond loopback without --insecure.
+        UsageError: it is no address, or beyond loopback without --insecure.
     """
     from learner.local import free_address
 
     if listen == "auto":
         return free_address()
-    if not insecure and not _is_loopback(listen):
+    check_address("--listen", listen)
+    if not insecure and not is_loopback(listen):
         raise UsageError(
             f"--listen {listen} is open to other machines, without encryption or authentication; "
             "add --insecure if that network is yours alone, or listen on tcp/127.0.0.1:7447"
         )
     return listen
-
-
-def _is_loopback(address: str) -> bool:
-    protocol, _, rest = address.partition("/")
-    if protocol.startswith("unix"):
-        return True
-    host = rest.split("#")[0].rpartition(":")[0].strip("[]")
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

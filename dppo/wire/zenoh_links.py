@@ -16,7 +16,6 @@ import contextlib
 import json
 import os
 import queue
-import re
 import threading
 import time
 from collections.abc import Callable
@@ -28,6 +27,7 @@ os.environ.setdefault("ZENOH_RUNTIME", "(tx: (worker_threads: 4), rx: (worker_th
 import zenoh
 
 from dppo.errors import UsageError, WireError
+from dppo.wire.addresses import check_address
 from dppo.wire.codec import encode, sealed, unsealed
 from dppo.wire.inbox import Inbox, next_event
 from dppo.wire.links import LearnerLost, Refused, WorkerLost
@@ -76,28 +76,12 @@ def _sentence(error: zenoh.ZError) -> str:
     return str(error).split(" at /")[0].split("[")[0].strip().rstrip(".:")
 
 
-def check_address(flag: str, address: str) -> None:
-    """Refuse what is no Zenoh address, before Zenoh retries it for ever.
-
-    Raises:
-        UsageError: the address is malformed.
-    """
-    match = re.fullmatch(r"(tcp|udp|tls|quic|ws)/(\[.+\]|[^\s/\[\]]+):(\d{1,5})(#.*)?", address)
-    is_socket = address.startswith("unixsock-stream/")
-    if not is_socket and (match is None or not 0 < int(match[3]) <= 65535):
-        raise UsageError(
-            f"{flag} is {address!r}, expected an address such as tcp/learner:7447 or "
-            "tcp/127.0.0.1:7447"
-        )
-
-
 def open_listening(address: str) -> zenoh.Session:
     """The learner's session.
 
     Raises:
-        UsageError: the address is malformed, taken, or not one of this host.
+        UsageError: the address is taken, or not one of this host.
     """
-    check_address("--listen", address)
     try:
         return zenoh.open(_config("router", {"listen": {"endpoints": [address]}}))
     except zenoh.ZError as error:

@@ -5,6 +5,7 @@ import re
 import struct
 import time
 from contextlib import ExitStack
+from functools import partial
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from dppo.wire.zenoh_links import (
     open_connecting,
     open_listening,
 )
+from learner.arguments import listening_address
 from learner.local import free_address
 
 PATIENCE = 10.0
@@ -272,11 +274,13 @@ def test_an_address_in_use_is_refused_with_a_sentence():
     "address",
     [
         "", "nonsense", "tcp/", "tcp/127.0.0.1", "tcp/:7447", "foo/127.0.0.1:1",
-        "tcp/127.0.0.1:99999", "tcp/a b:1", "tcp/learner:", "127.0.0.1:7447",
+        "tcp/127.0.0.1:99999", "tcp/a b:1", "tcp/learner:", "127.0.0.1:7447", "unixsock-stream/",
+        "udp/127.0.0.1:7447", "tls/learner:7447", "quic/learner:7447", "ws/learner:7447",
     ],
 )  # fmt: skip
 def test_a_malformed_address_is_refused_at_both_ends(address):
-    for flag, opening in (("--listen", open_listening), ("--connect", open_connecting)):
+    listening = partial(listening_address, insecure=True)
+    for flag, opening in (("--listen", listening), ("--connect", open_connecting)):
         sentence = f"{flag} is {address!r}, expected an address such as tcp/learner:7447"
         with pytest.raises(UsageError, match=re.escape(sentence)):
             opening(address)
