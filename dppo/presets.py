@@ -46,7 +46,9 @@ def paper(env: str) -> Config:
             time_limit="time-feature", normalize_obs="paper", clip_obs=float("inf"),
             reward_scale="one-minus-gamma",
         ),
-        returns=replace(base.returns, gamma=0.995, gae_lambda=0.98, targets="monte-carlo"),
+        returns=replace(
+            base.returns, gamma=0.995, gamma_start=-1.0, gae_lambda=0.98, targets="monte-carlo"
+        ),
         safety=replace(base.safety, psi=PAPER_PSI.get(name, 0.1), sigma_head="linear"),
         update=replace(
             base.update, learning_rate=policy_rate, critic_learning_rate=critic_rate,
@@ -82,7 +84,7 @@ def heess2017(env: str) -> Config:
     return replace(
         base,
         rollout=replace(base.rollout, num_envs=1, num_steps=500, window=50),
-        returns=replace(base.returns, gae_lambda=1.0),
+        returns=replace(base.returns, gamma=0.99, gae_lambda=1.0),
         update=replace(
             base.update, learning_rate=3e-4, critic_learning_rate=1e-3,
             lr_schedule="constant", update_epochs=20, num_minibatches=1,

@@ -1,7 +1,6 @@
 """The settings of the algorithm by topic, with its symbol and unit; frozen and validated.
 
-No field is derived from another: derived numbers are properties. The strings under the fields are
-the command line's help texts.
+What can be derived is a property. The strings under the fields are the command line's help texts.
 """
 
 import math
@@ -93,7 +92,7 @@ class ReturnsConfig:
     gamma: float = 0.99
     """γ: discount [per env step], 0..1."""
     gamma_start: float = -1.0
-    """γ at first; 1 - γ goes geometrically to gamma's over the run; -1: same as gamma [0..1]."""
+    """γ at first, if below gamma; 1 - γ goes geometrically to gamma's over the run; -1: gamma."""
     gae_lambda: float = 0.95
     """λ: trace of the generalised advantage, of V and of σ alike [0..1]."""
     lambda_ret: float = -1.0
@@ -113,9 +112,10 @@ class ReturnsConfig:
             value = getattr(self, name)
             expected = f"0 .. 1, or -1 for the same as {other}"
             require(value == -1 or 0 <= value <= 1, name, value, expected)
+        if self.gamma_start >= self.gamma:  # nothing grows; one form for what is the same
+            object.__setattr__(self, "gamma_start", -1.0)
         if self.gamma_start >= 0:
-            most = max(self.gamma, self.gamma_start)
-            require(most < 1, "gamma", most, "< 1 where it grows, at either end")
+            require(self.gamma < 1, "gamma", self.gamma, "< 1, or --gamma-start -1")
 
     @property
     def return_trace(self) -> float:

@@ -56,6 +56,7 @@ def test_paper_has_the_psi_of_table_2(env, psi):
 def test_paper(env):
     config = paper(env)
     assert (config.returns.gamma, config.returns.gae_lambda) == (0.995, 0.98)
+    assert config.returns.gamma_start == -1  # all along
     assert config.returns.lambda_ret == -1
     assert config.returns.variance_discount == (0.995 * 0.98) ** 2
     assert config.kl.kl_target == 0.003
@@ -107,6 +108,7 @@ def test_authors_2019_differs_from_paper_in_two_settings():
 def test_heess2017_has_windows_and_decides_per_worker():
     config = heess2017("Ant-v4")
     assert 0 < config.rollout.window < config.rollout.num_steps
+    assert (config.returns.gamma_start, config.returns.gamma) == (-1, 0.99)
     assert config.returns.gae_lambda == 1  # K-step returns
     assert config.update.num_minibatches == 1
     assert config.update.lr_schedule == "constant"

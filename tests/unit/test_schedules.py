@@ -186,12 +186,20 @@ def _growing(start, end):
         (0.75, 0.984375, [0.75, 0.875, 0.9375, 0.96875, 0.984375]),  # horizons 4, 8, 16, 32, 64
         (0.0, 0.0, [0.0] * 5),
         (-1, 0.9, [0.9] * 5),
+        (0.99, 0.9, [0.9] * 5),  # it never shrinks
     ],
 )
 def test_the_horizon_grows_geometrically(start, end, gammas):
     config = _growing(start, end)
     found = [scheduled_gamma(config, iteration) for iteration in range(5)]
     assert found == pytest.approx(gammas, abs=1e-15)
+
+
+def test_a_start_that_nothing_grows_from_is_none():
+    """One form for what is the same: such runs may go on with either."""
+    assert ReturnsConfig(gamma=0.99, gamma_start=0.99) == ReturnsConfig(gamma=0.99)
+    assert ReturnsConfig(gamma=0.99, gamma_start=0.995) == ReturnsConfig(gamma=0.99)
+    assert ReturnsConfig(gamma=0.995, gamma_start=0.99) != ReturnsConfig(gamma=0.995)
 
 
 def test_the_settings_of_an_iteration_have_its_gamma_and_all_that_follows_from_it():
