@@ -21,7 +21,7 @@ has another observation; environments that are not here get Walker2d's."""
 
 
 def default(env: str) -> Config:
-    """Minibatched, tanh 64x64, γ .99, λ .95, KL target .02, linear decay of the step sizes."""
+    """Minibatched, tanh 64x64, γ .99 to .995, λ .95, KL target .02, step sizes linear to 0."""
     config = Config()
     return replace(config, run=replace(config.run, env=env))
 

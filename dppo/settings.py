@@ -89,9 +89,9 @@ class RolloutConfig:
 class ReturnsConfig:
     """Discounts and traces. One reward scale feeds V, δ and σ."""
 
-    gamma: float = 0.99
-    """γ: discount [per env step], 0..1."""
-    gamma_start: float = -1.0
+    gamma: float = 0.995
+    """γ: discount [per env step], 0..1; above gamma_start, that of the run's end."""
+    gamma_start: float = 0.99
     """γ at first, if below gamma; 1 - γ goes geometrically to gamma's over the run; -1: gamma."""
     gae_lambda: float = 0.95
     """λ: trace of the generalised advantage, of V and of σ alike [0..1]."""

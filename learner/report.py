@@ -92,6 +92,7 @@ class Finished:
             "train/variance_loss": training.mean("variance_loss", "critic_weight"),
             "train/explained_variance": float(1 - spread[1] / spread[0]) if spread[0] > 0 else 0.0,
             "train/reward_scale": self.before.statistics.reward_scale(config),
+            "train/gamma": config.returns.gamma,
             "safety/psi": training.psi,
             "safety/sigma_mean": float(fit.mean[2]),
             "safety/adv_v_std": training.advantage_stds[0],

@@ -25,7 +25,7 @@ _COLUMNS = (
     "rollout/ep_rew_mean", "rollout/ep_len_mean", "charts/episodic_return", "charts/SPS",
     "train/kl", "train/kl_coef", "train/policy_updates", "train/policy_loss", "train/value_loss",
     "train/variance_loss", "train/explained_variance", "train/std", "train/reward_scale",
-    "train/policy_grad_norm", "train/value_grad_norm", "train/variance_grad_norm",
+    "train/gamma", "train/policy_grad_norm", "train/value_grad_norm", "train/variance_grad_norm",
     "safety/psi", "safety/sigma_mean", "safety/start_sigma", "safety/return_std", "safety/cvar10",
     "safety/adv_v_std", "safety/adv_sigma_std", "cluster/workers", "cluster/round_ms",
     "cluster/dropped", "cluster/acceptance_min", "cluster/drop_return_correlation",

@@ -77,7 +77,7 @@ def test_an_episode_is_the_one_that_a_plain_loop_plays(run_dir):
         assert trajectory.reward.tolist() == rewards
         assert (episode.length, episode.terminated) == (len(rewards), terminated)
         assert episode.total == pytest.approx(sum(rewards), rel=1e-12)
-        weights = 0.99 ** np.arange(len(rewards))
+        weights = 0.995 ** np.arange(len(rewards))
         assert episode.discounted == pytest.approx(weights @ rewards, rel=1e-12)
 
 
@@ -161,7 +161,7 @@ def test_dppo_eval_cuts_episodes_that_never_end(harness, runs):
     assert printed["summary"]["free"]["falls"] == 0
     people = harness.start(*words, "--episodes", "1")
     assert people.wait() == 0
-    assert "gamma 0.99, episodes cut after 30 steps\n" in people.text
+    assert "gamma 0.995, episodes cut after 30 steps\n" in people.text
 
 
 @pytest.mark.slow
@@ -225,7 +225,7 @@ def test_dppo_eval_prints_a_line_per_figure_for_people(harness, run_dir):
     assert process.wait() == 0, process.text
     first, kinds, mean, *_ = process.text.splitlines()
     assert first.startswith("Hopper-v5, iteration-")
-    assert first.endswith("most likely actions, gamma 0.99")
+    assert first.endswith("most likely actions, gamma 0.995")
     assert kinds == "3 episodes, free starts; [95 % interval]"
     assert mean.startswith("  return_mean")
 

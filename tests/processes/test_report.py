@@ -65,6 +65,7 @@ def test_the_columns_to_watch_are_those_of_all_slots_together():
     assert metrics["train/explained_variance"] == pytest.approx(1 - 1 / 8)
     assert (metrics["safety/adv_v_std"], metrics["safety/adv_sigma_std"]) == (1.0, 2.0)
     assert (metrics["safety/psi"], metrics["train/kl_coef"]) == (0.1, 2.0)
+    assert metrics["train/gamma"] == pytest.approx(0.99)  # that of the first iteration
     assert found.episodes == ((1.0, 5.0), (3.0, 7.0), (6.0, 9.0))
     assert (found.iteration, found.env_steps) == (7, 7 * 3 * 64)
 

@@ -53,7 +53,7 @@ REFUSED = [
     (ReturnsConfig, {"lambda_ret": 1.1}, "--lambda-ret is 1.1, expected 0 .. 1, or -1 for"),
     (
         ReturnsConfig,
-        {"gamma_start": 0.9, "gamma": 1.0},
+        {"gamma": 1.0},
         "--gamma is 1.0, expected < 1, or --gamma-start -1",
     ),
     (ReturnsConfig, {"gamma_start": -0.5}, "--gamma-start is -0.5, expected 0 .. 1, or -1 for"),
@@ -125,7 +125,7 @@ def test_what_cannot_be_run_is_refused_with_a_sentence(group, values, sentence):
 ACCEPTED = [
     (RolloutConfig, {"drop": 7}), (RolloutConfig, {"window": 64}),
     (RolloutConfig, {"slots": 4096}),
-    (RolloutConfig, {"clip_obs": INF}), (ReturnsConfig, {"gamma": 1.0}),
+    (RolloutConfig, {"clip_obs": INF}), (ReturnsConfig, {"gamma": 1.0, "gamma_start": -1.0}),
     (ReturnsConfig, {"gamma": 0.0, "gae_lambda": 0.0}),
     (ReturnsConfig, {"lambda_ret": 0.0}), (SafetyConfig, {"variance_critic": False}),
     (SafetyConfig, {"variance_limit": 1.0, "psi": 0.5}), (UpdateConfig, {"max_grad_norm": INF}),

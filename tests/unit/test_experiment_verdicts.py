@@ -163,4 +163,4 @@ def test_every_claim_has_a_row_with_the_papers_own_significance(tmp_path):
         "significant in none | spread across seeds lower in 0 of 1",
     ):
         assert words in table, words
-    assert "gamma 0.99 (paper 0.995)" in page
+    assert "gamma_start 0.99 (paper -1.0)" in page

@@ -66,7 +66,8 @@ def test_normalising_leaves_the_raw_observations_alone():
 
 def scaled_by(reward_scale, gamma=0.99):
     return Config(
-        rollout=RolloutConfig(reward_scale=reward_scale), returns=ReturnsConfig(gamma=gamma)
+        rollout=RolloutConfig(reward_scale=reward_scale),
+        returns=ReturnsConfig(gamma=gamma, gamma_start=-1),
     )
 
 

@@ -31,7 +31,8 @@ def test_there_are_the_four_presets():
 def test_default():
     config = default("Ant-v4")
     assert config.network.hidden_sizes == (64, 64)
-    assert (config.returns.gamma, config.returns.gae_lambda) == (0.99, 0.95)
+    assert (config.returns.gamma_start, config.returns.gamma) == (0.99, 0.995)
+    assert config.returns.gae_lambda == 0.95
     assert config.kl.kl_target == 0.02
     assert config.update.lr_schedule == "linear"
     assert config.update.num_minibatches > 1

@@ -199,7 +199,7 @@ def test_a_start_that_nothing_grows_from_is_none():
     """One form for what is the same: such runs may go on with either."""
     assert ReturnsConfig(gamma=0.99, gamma_start=0.99) == ReturnsConfig(gamma=0.99)
     assert ReturnsConfig(gamma=0.99, gamma_start=0.995) == ReturnsConfig(gamma=0.99)
-    assert ReturnsConfig(gamma=0.995, gamma_start=0.99) != ReturnsConfig(gamma=0.995)
+    assert ReturnsConfig(gamma_start=0.99) != ReturnsConfig(gamma_start=-1)
 
 
 def test_the_settings_of_an_iteration_have_its_gamma_and_all_that_follows_from_it():
