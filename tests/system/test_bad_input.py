@@ -99,7 +99,7 @@ def test_a_run_directory_of_another_config_is_refused_with_the_differences(harne
     run_dir = harness.folder / "run"
     harness.train(*TINY, "--total-timesteps", "512", "--local-workers", "1", run_dir=run_dir)
     other = harness.learner(*TINY, "--total-timesteps", "512", "--gamma", "0.9", run_dir=run_dir)
-    refuses(other, "holds a run with other settings: --gamma was 0.99, is 0.9")
+    refuses(other, "holds a run with other settings: --gamma was 0.995, is 0.9")
     never = harness.learner(
         *TINY, "--total-timesteps", "512", "--resume", "never", run_dir=run_dir
     )
