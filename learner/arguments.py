@@ -71,7 +71,7 @@ def _value(argv: list[str], flag: str) -> str | None:
 
 
 def listening_address(listen: str, insecure: bool) -> str:
-    """The Zenoh address to listen on.
+    """The address to listen on.
 
     Raises:
         UsageError: it is no address, or beyond loopback without --insecure.

@@ -7,6 +7,7 @@ import signal
 
 import pytest
 
+from dppo.experiment import work
 from dppo.store.run_directory import read_config
 from tests.support import checkpoints, descendants, is_alive, iterations, result, wait_until
 from tests.system.test_bad_input import refuses
@@ -194,6 +195,7 @@ def test_a_signal_stops_all_runs_with_their_checkpoints(harness, number):
     assert len(learners) == 2
     process.send(number)
     assert process.wait() == 0, process.text
+    assert "is killed" not in process.text  # they have ended by themselves in the time they had
     assert not any(map(is_alive, learners))
     assert "stopped; 0 of 4 runs are finished" in process.text
     for name in NAMES[:2]:
@@ -214,6 +216,7 @@ def test_learners_that_do_not_end_are_killed_in_time(harness):
     process.send(signal.SIGTERM)
     assert process.wait() == 0, process.text
     assert "does not end, and is killed" in process.text
+    assert work._LOOK_SECONDS + work._GRACE_SECONDS < 10  # as docs/experiments.md promises
     wait_until(lambda: not any(map(is_alive, [*learners, *workers])), "everything to end")
 
 
